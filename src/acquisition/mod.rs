@@ -1,0 +1,1 @@
+//! Taking 3D scans: stop, step the tilt, wait, file the line.

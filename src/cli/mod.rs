@@ -1,0 +1,20 @@
+//! Arguments, wiring and exit codes: one file per verb.
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Autonomous rescue-robot agent for USARSim, with its stand-in simulator.
+#[derive(Debug, Parser)]
+#[command(name = "usar", version, propagate_version = true)]
+pub struct Arguments {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {}
+
+/// Runs the verb that the arguments name and turns its outcome into an exit code.
+pub fn run(arguments: Arguments) -> ExitCode {
+    match arguments.verb {}
+}

@@ -1,0 +1,1 @@
+//! Scenario, robot and agent configuration: read, checked and handed down as values.

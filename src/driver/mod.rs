@@ -1,0 +1,1 @@
+//! The three ways to run an agent: live, lockstep, replay.

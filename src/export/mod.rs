@@ -1,0 +1,1 @@
+//! Deliverables from a run or a recording.

@@ -1,0 +1,1 @@
+//! Map, scan and recording files read here and handed down as values.

@@ -1,0 +1,1 @@
+//! Localisation and the map of planar landmarks.

@@ -1,0 +1,1 @@
+//! The agent: events in, actions out.

@@ -1,0 +1,1 @@
+//! From a goal to wheel speeds: planner, follower, speed rules, stuck detection.

@@ -1,0 +1,1 @@
+//! The wire: lines to typed messages and commands to lines, in both dialects.

@@ -1,0 +1,1 @@
+//! Recordings: the session codec, its writer and reader.

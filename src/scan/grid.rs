@@ -1,0 +1,59 @@
+use nalgebra::Point3;
+
+/// An organised cloud: `rows × columns` points in one frame whose origin is the viewpoint.
+///
+/// NaN marks a cell without a return. Nothing is said about the order of rows or columns: either
+/// may run in either direction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PointGrid {
+    rows: usize,
+    columns: usize,
+    points: Vec<[f32; 3]>,
+}
+
+impl PointGrid {
+    /// A grid of row-major `points` in metres.
+    ///
+    /// # Panics
+    ///
+    /// When the number of points is not `rows * columns`.
+    pub fn new(rows: usize, columns: usize, points: Vec<[f32; 3]>) -> Self {
+        assert_eq!(points.len(), rows * columns, "a grid has rows * columns points");
+        Self { rows, columns, points }
+    }
+
+    /// Number of rows.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Number of columns.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// All points, row by row.
+    pub fn points(&self) -> &[[f32; 3]] {
+        &self.points
+    }
+
+    /// The point of a cell, if it has one.
+    pub fn point(&self, row: usize, column: usize) -> Option<Point3<f64>> {
+        let [x, y, z] = self.points[row * self.columns + column];
+        (x.is_finite() && y.is_finite() && z.is_finite())
+            .then(|| Point3::new(f64::from(x), f64::from(y), f64::from(z)))
+    }
+
+    /// The grid of the columns `columns` alone, cut to those that exist.
+    #[must_use]
+    pub fn columns_only(&self, columns: std::ops::Range<usize>) -> Self {
+        let end = columns.end.min(self.columns);
+        let start = columns.start.min(end);
+        let points = self
+            .points
+            .chunks(self.columns.max(1))
+            .flat_map(|row| row[start..end].iter().copied())
+            .collect();
+        Self::new(self.rows, end - start, points)
+    }
+}

@@ -1,0 +1,14 @@
+//! What a laser saw: one [`LaserLine`], many of them as a [`RangeImage`], and the [`PointGrid`] that
+//! segmentation works on.
+//!
+//! *Sensor frame*: x along the middle beam, y left, z up, origin at the optical centre; it moves
+//! with the tilt. *Scan frame*: the sensor frame at zero pan and tilt while the robot stood still;
+//! it is what all rows of one image share.
+
+mod grid;
+mod image;
+mod line;
+
+pub use grid::PointGrid;
+pub use image::{ImageRow, RangeImage};
+pub use line::{LaserLine, Return};

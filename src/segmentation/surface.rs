@@ -1,0 +1,116 @@
+use crate::geometry::{Plane, polygon_area};
+use nalgebra::{Isometry3, Matrix3, Matrix4, Matrix5, Point2, Point3, Unit, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// The result of segmenting one [`PointGrid`](crate::scan::PointGrid).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Segmentation {
+    /// Rows of the grid.
+    pub rows: usize,
+    /// Columns of the grid.
+    pub columns: usize,
+    /// One label per cell, row by row: 0 for none, else the `id` of a surface. Each label is one
+    /// 8-connected region.
+    pub labels: Vec<u16>,
+    /// Surfaces in the order of their ids.
+    pub surfaces: Vec<Surface>,
+    /// Regions that were found and dropped, and why.
+    pub rejected: Vec<Rejected>,
+}
+
+/// One fitted region, in the frame of the grid.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Surface {
+    /// Label of the region, from 1.
+    pub id: u16,
+    /// Number of points of the region.
+    pub points: usize,
+    /// Root mean square of the geometric distance of its points from the fitted shape, in metres.
+    pub rms_m: f64,
+    /// Centre of gravity of its points.
+    pub centroid: Point3<f64>,
+    /// The fitted shape.
+    pub shape: Shape,
+}
+
+/// What was fitted to a region.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Shape {
+    /// A planar patch.
+    Plane(PlanePatch),
+    /// A sphere.
+    Sphere(Sphere),
+    /// A circular cylinder of any axis.
+    Cylinder(Cylinder),
+    /// A region that none of the models describes.
+    Other,
+}
+
+/// A bounded piece of a plane.
+///
+/// Its local frame has its origin at the centre of gravity, z along the normal (towards the
+/// sensor), x along the greater and y along the lesser principal axis of the points.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanePatch {
+    /// Pose of the local frame in the frame of the grid.
+    pub grid_from_plane: Isometry3<f64>,
+    /// Covariance of a perturbation of the local frame: offset along z in m², rotation about y
+    /// (the paper's θ) and rotation about x (its ψ) in rad².
+    pub covariance: Matrix3<f64>,
+    /// Convex hull of the points in the local x-y plane, counter-clockwise, in metres.
+    pub hull: Vec<Point2<f64>>,
+}
+
+/// A sphere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sphere {
+    /// Centre.
+    pub centre: Point3<f64>,
+    /// Radius in metres.
+    pub radius_m: f64,
+    /// Covariance of centre and radius, m².
+    pub covariance: Matrix4<f64>,
+}
+
+/// A bounded circular cylinder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cylinder {
+    /// Middle of the measured part of the axis.
+    pub axis_point: Point3<f64>,
+    /// Direction of the axis; the sign carries no meaning.
+    pub axis: Unit<Vector3<f64>>,
+    /// Radius in metres.
+    pub radius_m: f64,
+    /// Extent of the points along the axis, in metres.
+    pub length_m: f64,
+    /// Covariance of the offset across the axis (two directions, m²), its tilt (two, rad²) and the
+    /// radius (m²).
+    pub covariance: Matrix5<f64>,
+}
+
+/// A region that did not become a surface.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Rejected {
+    /// Number of its points.
+    pub points: usize,
+    /// Why it was dropped.
+    pub reason: String,
+}
+
+impl PlanePatch {
+    /// The infinite plane of the patch in the frame of the grid, facing the sensor.
+    pub fn plane(&self) -> Plane {
+        let normal = self.grid_from_plane.rotation * Vector3::z();
+        Plane { normal, offset_m: normal.dot(&self.grid_from_plane.translation.vector) }
+    }
+
+    /// Area of the hull in m².
+    pub fn area_m2(&self) -> f64 {
+        polygon_area(&self.hull)
+    }
+
+    /// The hull's vertices in the frame of the grid.
+    pub fn hull_points(&self) -> impl Iterator<Item = Point3<f64>> + '_ {
+        self.hull.iter().map(|p| self.grid_from_plane * Point3::new(p.x, p.y, 0.0))
+    }
+}

@@ -1,0 +1,1 @@
+//! What can be driven on: elevation, obstacles and drop-offs, projected into the 2D grid.

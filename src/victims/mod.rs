@@ -1,0 +1,1 @@
+//! Victim candidates, their confirmation and keep-out.

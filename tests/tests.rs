@@ -1,0 +1,5 @@
+//! One integration binary, so that link time is paid once.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking; helpers count as tests too")]
+
+mod layering;
