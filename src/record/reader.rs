@@ -64,8 +64,8 @@ pub fn read(bytes: &[u8]) -> Result<Recording, ReadError> {
 
 fn decode_entries(mut block: &[u8], entries: &mut Vec<Entry>) -> Result<(), String> {
     while !block.is_empty() {
-        let (entry, rest) =
-            postcard::take_from_bytes(block).map_err(|error| format!("entry unreadable: {error}"))?;
+        let (entry, rest) = postcard::take_from_bytes(block)
+            .map_err(|error| format!("entry unreadable: {error}"))?;
         entries.push(entry);
         block = rest;
     }
