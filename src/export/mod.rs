@@ -1,1 +1,6 @@
 //! Deliverables from a run or a recording.
+
+pub mod map_server;
+pub mod ply;
+pub mod report;
+pub mod tum;

@@ -1,1 +1,7 @@
 //! The agent: events in, actions out.
+
+mod journal;
+mod operator;
+
+pub use journal::{Journal, Level, Note};
+pub use operator::{DRIVE_LEASE, DriveLease, Mode, OperatorDecodeError, OperatorEvent};
