@@ -2,4 +2,5 @@
 
 pub mod canvas;
 mod font;
+pub mod map_scene;
 pub mod scene3d;
