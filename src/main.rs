@@ -5,5 +5,5 @@ use std::process::ExitCode;
 use usar_agent::cli::{Arguments, run};
 
 fn main() -> ExitCode {
-    run(Arguments::parse())
+    run(&Arguments::parse())
 }

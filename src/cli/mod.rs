@@ -1,5 +1,7 @@
 //! Arguments, wiring and exit codes: one file per verb.
 
+mod segment;
+
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
@@ -12,9 +14,18 @@ pub struct Arguments {
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {}
+enum Verb {
+    /// One organised scan through segmentation and fitting
+    Segment(segment::SegmentArguments),
+}
 
 /// Runs the verb that the arguments name and turns its outcome into an exit code.
-pub fn run(arguments: Arguments) -> ExitCode {
-    match arguments.verb {}
+pub fn run(arguments: &Arguments) -> ExitCode {
+    let outcome = match &arguments.verb {
+        Verb::Segment(arguments) => segment::run(arguments),
+    };
+    outcome.unwrap_or_else(|error| {
+        eprintln!("error: {error:#}");
+        ExitCode::FAILURE
+    })
 }

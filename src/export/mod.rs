@@ -1,1 +1,3 @@
 //! Deliverables from a run or a recording.
+
+pub mod segment_images;
