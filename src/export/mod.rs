@@ -7,4 +7,5 @@ pub mod map_server;
 pub mod ply;
 pub mod report;
 pub mod scene3d;
+pub mod segment_images;
 pub mod tum;
