@@ -2,6 +2,7 @@
 
 pub mod canvas;
 mod font;
+pub mod map_picture;
 pub mod map_scene;
 pub mod map_server;
 pub mod ply;
