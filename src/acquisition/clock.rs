@@ -31,7 +31,7 @@ const WINDOW: Span = Span::from_millis(5_000);
 /// Bound on the number of messages in the window: ten a second for each of six kinds.
 const WINDOW_MESSAGES: usize = 300;
 /// A shorter window measures arrival jitter, not the rate.
-const RATE_BASELINE: Span = Span::from_millis(1_500);
+const RATE_BASELINE: Span = Span::from_millis(2_500);
 /// Rates this close to 1 are jitter.
 const RATE_SNAP: f64 = 0.05;
 /// A message this far ahead of the expected stamp, or behind the latest one, is a jump of the clock

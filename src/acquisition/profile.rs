@@ -145,7 +145,11 @@ impl Profile {
         let distance = |tilt: Option<&QuarterDegrees>| {
             tilt.map_or(0.0, |tilt| (tilt.radians() - tilt_rad).abs())
         };
-        if distance(self.tilts.last()) < distance(self.tilts.first()) { self.reversed() } else { self }
+        if distance(self.tilts.last()) < distance(self.tilts.first()) {
+            self.reversed()
+        } else {
+            self
+        }
     }
 
     /// The rows that a link can reach, and what is lost if some cannot.
@@ -160,9 +164,8 @@ impl Profile {
         if kept.len() == self.tilts.len() {
             return (self, None);
         }
-        let bounds = |tilts: &[QuarterDegrees]| {
-            (tilts.iter().copied().max(), tilts.iter().copied().min())
-        };
+        let bounds =
+            |tilts: &[QuarterDegrees]| (tilts.iter().copied().max(), tilts.iter().copied().min());
         let (asked, left) = (bounds(&self.tilts), bounds(&kept));
         let clipped = Clipped {
             rows: self.tilts.len() - kept.len(),
@@ -204,11 +207,8 @@ impl Clipped {
             let asked = view.ground_ahead_m(self.steepest.0.radians());
             let left = self.steepest.1.and_then(|tilt| view.ground_ahead_m(tilt.radians()));
             let metres = |d: Option<f64>| d.map_or("none".to_owned(), |d| format!("from {d:.1} m"));
-            text += &format!(
-                ": ground straight ahead is seen {}, not {}",
-                metres(left),
-                metres(asked)
-            );
+            text +=
+                &format!(": ground straight ahead is seen {}, not {}", metres(left), metres(asked));
         }
         if self.highest.1.is_none_or(|left| left > self.highest.0) {
             let left = self.highest.1.map_or("none".to_owned(), |tilt| tilt.to_string());

@@ -1,5 +1,6 @@
 //! How a joint follows its set-point: the laws of the two engines, in closed form.
 
+use crate::robot::Demand;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
@@ -20,15 +21,6 @@ impl ServoState {
     pub fn at_rest(angle_rad: f64) -> Self {
         Self { angle_rad, rate_rad_s: 0.0 }
     }
-}
-
-/// What a joint was told to do.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Demand {
-    /// Go to an angle in radians (order 0).
-    Angle(f64),
-    /// Turn at a constant rate in radians per second (order 1, UT2004 alone).
-    Rate(f64),
 }
 
 /// The law by which a joint approaches a demanded angle.
@@ -228,8 +220,10 @@ mod tests {
         prop_oneof![
             (0.02..2.0f64, 0.005..0.1f64)
                 .prop_map(|(speed_rad_s, gap_rad)| ServoLaw::Hinge { speed_rad_s, gap_rad }),
-            (3.0..40.0f64, 0.2..3.0f64)
-                .prop_map(|(frequency_rad_s, damping)| ServoLaw::Spring { frequency_rad_s, damping }),
+            (3.0..40.0f64, 0.2..3.0f64).prop_map(|(frequency_rad_s, damping)| ServoLaw::Spring {
+                frequency_rad_s,
+                damping
+            }),
         ]
     }
 

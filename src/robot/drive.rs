@@ -64,7 +64,8 @@ impl DriveTrain {
 
     /// The motion that rolling wheels of this spin give, slip by `turn_share` included.
     pub fn body_speed(&self, spin: WheelSpin) -> BodySpeed {
-        let (left, right) = (spin.left_rps * self.wheel_radius_m, spin.right_rps * self.wheel_radius_m);
+        let (left, right) =
+            (spin.left_rps * self.wheel_radius_m, spin.right_rps * self.wheel_radius_m);
         BodySpeed {
             linear_mps: 0.5 * (left + right),
             angular_rps: (right - left) * self.turn_share / self.wheel_separation_m,

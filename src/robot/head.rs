@@ -1,5 +1,6 @@
 use super::mount::{JointKind, Mount};
 use crate::geometry::AngleSpan;
+use crate::time::Stamp;
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +18,35 @@ impl HeadPose {
     pub fn tilted(tilt_rad: f64) -> Self {
         Self { pan_rad: 0.0, tilt_rad }
     }
+}
+
+/// What a joint is told to do, in core angles.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Demand {
+    /// Go to an angle in radians (order 0).
+    Angle(f64),
+    /// Turn at a constant rate in radians per second (order 1, UT2004 alone).
+    Rate(f64),
+}
+
+/// What a joint said of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct JointAngle {
+    /// Core angle in radians.
+    pub angle_rad: f64,
+    /// The true angle lies within this of it: servers cut and quantise what they print.
+    pub half_width_rad: f64,
+}
+
+/// A status line of the package that carries the laser.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HeadReading {
+    /// When, by the server's stamp.
+    pub stamp: Stamp,
+    /// The pan joint, if the line named it.
+    pub pan: Option<JointAngle>,
+    /// The tilt joint, if the line named it.
+    pub tilt: Option<JointAngle>,
 }
 
 /// One joint of the scan head in core terms.
@@ -138,9 +168,9 @@ fn axis_of(mount: &Mount, index: usize, core_per_wire: f64) -> Axis {
         package: joint.package.clone(),
         link: joint.link,
         core_per_wire,
-        limits: joint.limits.map(|wire| {
-            AngleSpan::new(wire.min_rad * core_per_wire, wire.max_rad * core_per_wire)
-        }),
+        limits: joint
+            .limits
+            .map(|wire| AngleSpan::new(wire.min_rad * core_per_wire, wire.max_rad * core_per_wire)),
         speed_rad_s: joint.max_speed,
         joint: index,
     }
@@ -204,7 +234,9 @@ mod tests {
         let fixed = ScanHead::new(Mount::on_body([0.1439, 0.0, -0.092], [0.0; 3]));
         assert!(fixed.pan().is_none() && fixed.tilt().is_none());
         let pose = fixed.robot_from_device(HeadPose { pan_rad: 1.0, tilt_rad: 1.0 });
-        assert!((pose.translation.vector - nalgebra::Vector3::new(0.1439, 0.0, 0.092)).norm() < 1e-12);
+        assert!(
+            (pose.translation.vector - nalgebra::Vector3::new(0.1439, 0.0, 0.092)).norm() < 1e-12
+        );
     }
 
     #[test]

@@ -7,7 +7,9 @@ mod mount;
 mod visibility;
 pub use beams::Beams;
 pub use drive::{BodySpeed, DriveTrain, WheelSpin};
-pub use frames::{core_point, core_pose, core_rotation, core_vector, wire_location, wire_orientation};
-pub use head::{Axis, HeadPose, ScanHead};
+pub use frames::{
+    core_point, core_pose, core_rotation, core_vector, wire_location, wire_orientation,
+};
+pub use head::{Axis, Demand, HeadPose, HeadReading, JointAngle, ScanHead};
 pub use mount::{Joint, JointKind, Mount};
 pub use visibility::{GroundSight, GroundView, Visibility};

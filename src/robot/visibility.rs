@@ -94,9 +94,8 @@ impl GroundView<'_> {
         self.head.tilt()?;
         // The distance falls as the tilt grows, so a bisection finds it whatever the mount's offsets.
         let (mut flat, mut steep) = (-FRAC_PI_2 / 2.0, STEEPEST_USEFUL_RAD);
-        let nearer = |tilt| {
-            self.ground_point(HeadPose::tilted(tilt), 0.0).is_some_and(|p| p.x <= ahead_m)
-        };
+        let nearer =
+            |tilt| self.ground_point(HeadPose::tilted(tilt), 0.0).is_some_and(|p| p.x <= ahead_m);
         if !nearer(steep) {
             return None;
         }
@@ -198,7 +197,9 @@ impl fmt::Display for Visibility {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let height = self.laser_height_m;
         match (self.steepest_tilt_rad, self.nearest_ahead_m) {
-            (None, None) => write!(f, "the laser, {height:.2} m up, cannot tilt: no ground is seen"),
+            (None, None) => {
+                write!(f, "the laser, {height:.2} m up, cannot tilt: no ground is seen")
+            }
             (None, Some(ahead)) => write!(
                 f,
                 "the laser, {height:.2} m up, cannot tilt: it sees level ground {ahead:.1} m ahead only"
