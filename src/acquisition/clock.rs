@@ -47,12 +47,12 @@ impl StampClock {
     /// Takes note of a message stamped `stamp` that arrived `now`.
     pub fn observe(&mut self, stamp: Stamp, now: Arrival) -> ClockStep {
         let mut step = ClockStep::Steady;
-        if let (Some(latest), Some(expected)) = (self.latest, self.earliest(now)) {
-            if stamp - expected > JUMP || latest - stamp > JUMP {
-                step = ClockStep::Jumped(stamp - expected);
-                self.window.clear();
-                self.latest = None;
-            }
+        if let (Some(latest), Some(expected)) = (self.latest, self.earliest(now))
+            && (stamp - expected > JUMP || latest - stamp > JUMP)
+        {
+            step = ClockStep::Jumped(stamp - expected);
+            self.window.clear();
+            self.latest = None;
         }
         self.latest = Some(self.latest.map_or(stamp, |latest| latest.max(stamp)));
         self.window.push_back((now, stamp));

@@ -30,11 +30,15 @@ pub use servo::{HINGE_GAP_RAD, ServoLaw, ServoState};
 pub use sweep::Sweep;
 pub use track::{AxisEstimate, AxisReading, AxisTrack, Verdict};
 
-use crate::robot::{Demand, HeadPose, HeadReading, ScanHead};
+use crate::protocol::Dialect;
+use crate::robot::{Demand, GroundView, HeadPose, HeadReading, Rig, ScanHead};
 use crate::scan::LaserLine;
 use crate::time::{Arrival, Stamp};
 use park::Park;
 use serde::{Deserialize, Serialize};
+
+/// Speed of a pan-tilt link whose CONF is silent: CameraPanTilt's (protocol 5.4).
+const USUAL_LINK_SPEED_RAD_S: f64 = 0.17;
 
 /// What the acquisition is told.
 #[derive(Clone, Copy, Debug)]
@@ -87,6 +91,30 @@ pub struct SweepRequest {
     pub tolerance_rad: Option<f64>,
 }
 
+impl SweepRequest {
+    /// The paper's full sweep at its tolerance.
+    pub fn paper() -> Self {
+        Self { profile: Profile::paper_full(), pan_rad: 0.0, tolerance_rad: None }
+    }
+
+    /// A coarse sweep for exploration: `profile` at the coarse tolerance.
+    pub fn coarse(profile: Profile, config: &AcquisitionConfig) -> Self {
+        let tolerance_rad = Some(config.coarse_tolerance_deg.to_radians());
+        Self { profile, pan_rad: 0.0, tolerance_rad }
+    }
+
+    /// The ground fan at the coarse tolerance.
+    pub fn ground_fan(view: &GroundView<'_>, config: &AcquisitionConfig) -> Self {
+        Self::coarse(Profile::ground_fan(view, &config.fan), config)
+    }
+
+    /// The same with the pan held at `pan_rad`.
+    #[must_use]
+    pub fn at_pan(self, pan_rad: f64) -> Self {
+        Self { pan_rad, ..self }
+    }
+}
+
 /// Everything that moves the scan head: sweeps, and parking between them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Acquisition {
@@ -107,6 +135,17 @@ impl Acquisition {
     pub fn new(head: &ScanHead, law: Option<ServoLaw>, config: AcquisitionConfig) -> Self {
         let control = HeadControl::new(head, law, &config);
         Self { config, control, activity: Activity::Idle }
+    }
+
+    /// The head of a rig just created: UT2004 joints follow the hinge law at the speed that CONF gave,
+    /// or the pan-tilt's usual one; UDK's spring is unknown. `None` for a rig without a laser.
+    pub fn for_rig(rig: &Rig, config: AcquisitionConfig) -> Option<Self> {
+        let laser = rig.laser.as_ref()?;
+        let law = match rig.dialect {
+            Dialect::Ut2004 => Some(ServoLaw::hinge(USUAL_LINK_SPEED_RAD_S)),
+            Dialect::Udk => None,
+        };
+        Some(Self::new(&laser.head, law, config))
     }
 
     /// Begins a sweep; one that is under way is dropped.

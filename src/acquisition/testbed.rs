@@ -235,7 +235,7 @@ impl Testbed {
     }
 
     fn advance_server(&mut self) {
-        let due: Vec<_> = self.pending.iter().filter(|c| c.0 <= self.now_s).cloned().collect();
+        let due: Vec<_> = self.pending.iter().filter(|c| c.0 <= self.now_s).copied().collect();
         self.pending.retain(|c| c.0 > self.now_s);
         for (_, command) in due {
             if let Some(demand) = command.tilt {
