@@ -5,3 +5,4 @@
 mod layering;
 mod protocol;
 mod terrain;
+mod truth;
