@@ -92,7 +92,7 @@ fn every_laser_line_has_its_181_beams() {
     assert_eq!(scans.len(), 30);
     for scan in scans {
         assert_eq!(scan.ranges_m.len(), 181, "{:?}", scan.time);
-        assert_eq!((scan.resolution_rad, scan.fov_rad), (Some(0.0174), Some(3.1415)));
+        assert_eq!((scan.resolution_rad, scan.fov_rad), (Some(0.0174), Some(31_415.0 / 1e4)));
     }
 }
 
