@@ -9,6 +9,7 @@
 //! `exp(δr) R`.
 
 mod attitude;
+pub mod graph;
 pub mod innovation;
 mod landmark;
 mod mask;
