@@ -105,11 +105,32 @@ impl PlaneMask {
         // Quarter points: a lattice of half a cell meets every cell whatever the turn, so a filled
         // area stays filled.
         let quarter = 0.25 * MASK_CELL_M;
+        let turn = self_from_other.rotation.to_rotation_matrix().into_inner();
+        let shift = self_from_other.translation.vector;
+        // Bits of the tile that the walk is in; written out when it leaves.
+        let mut at = None;
+        let mut bits = 0;
         for cell in other.cells() {
-            for (dx, dy) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
-                let p = Point3::new(cell.x + dx * quarter, cell.y + dy * quarter, 0.0);
-                self.insert(&(self_from_other * p).xy());
+            for (dx, dy) in
+                [(-quarter, -quarter), (quarter, -quarter), (-quarter, quarter), (quarter, quarter)]
+            {
+                let (u, v) = (cell.x + dx, cell.y + dy);
+                let x = cell_of(turn[(0, 0)] * u + turn[(0, 1)] * v + shift.x);
+                let y = cell_of(turn[(1, 0)] * u + turn[(1, 1)] * v + shift.y);
+                let tile = (x.div_euclid(TILE), y.div_euclid(TILE));
+                if at != Some(tile) {
+                    self.set_bits(at, bits);
+                    (at, bits) = (Some(tile), 0);
+                }
+                bits |= 1 << (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE));
             }
+        }
+        self.set_bits(at, bits);
+    }
+
+    fn set_bits(&mut self, tile: Option<(i32, i32)>, bits: u64) {
+        if let Some(tile) = tile {
+            *self.tiles.entry(tile).or_default() |= bits;
         }
     }
 

@@ -16,6 +16,8 @@ pub struct Rectangle {
     pub frame: Isometry3<f64>,
     pub half_x_m: f64,
     pub half_y_m: f64,
+    /// The frame's axes in the world.
+    axes: [Vector3<f64>; 3],
 }
 
 impl Rectangle {
@@ -36,6 +38,7 @@ impl Rectangle {
             ),
             half_x_m: 0.5 * size.0,
             half_y_m: 0.5 * size.1,
+            axes: [x, z.cross(&x), z],
         }
     }
 }
@@ -89,33 +92,29 @@ impl World {
         for i in 0..4 {
             self.wall(corners[i], corners[(i + 1) % 4], 0.0, size.2);
         }
-        let mut top = Rectangle::new(
+        self.rectangles.push(Rectangle::new(
             [centre.0, centre.1, size.2],
             Vector3::z(),
             Vector3::new(yaw.cos(), yaw.sin(), 0.0),
             (size.0, size.1),
-        );
-        top.half_x_m = hx;
-        self.rectangles.push(top);
+        ));
     }
 
-    /// The nearest hit along a ray, at most `limit_m` away, other than rectangle `skip`.
+    /// Whether a rectangle other than `skip` cuts the way from `origin` to `target`.
     fn blocked(&self, origin: &Point3<f64>, target: &Point3<f64>, skip: usize) -> bool {
         let ray = target - origin;
         self.rectangles.iter().enumerate().any(|(i, rectangle)| {
-            if i == skip {
+            let [x, y, z] = &rectangle.axes;
+            let across = z.dot(&ray);
+            if i == skip || across.abs() < 1e-12 {
                 return false;
             }
-            let local_origin = rectangle.frame.inverse_transform_point(origin);
-            let local_ray = rectangle.frame.inverse_transform_vector(&ray);
-            if local_ray.z.abs() < 1e-12 {
-                return false;
-            }
-            let t = -local_origin.z / local_ray.z;
-            let hit = local_origin + local_ray * t;
+            let from = origin.coords - rectangle.frame.translation.vector;
+            let t = -z.dot(&from) / across;
+            let hit = from + ray * t;
             (1e-6..0.999).contains(&t)
-                && hit.x.abs() <= rectangle.half_x_m
-                && hit.y.abs() <= rectangle.half_y_m
+                && x.dot(&hit).abs() <= rectangle.half_x_m
+                && y.dot(&hit).abs() <= rectangle.half_y_m
         })
     }
 
@@ -160,7 +159,7 @@ impl World {
             return None;
         }
         let mut seen: Vec<(Point2<f64>, f64)> = Vec::new();
-        let steps = |half: f64| ((2.0 * half / 0.15).ceil() as i32).clamp(4, 60);
+        let steps = |half: f64| ((2.0 * half / 0.2).ceil() as i32).clamp(4, 40);
         let (nx, ny) = (steps(rectangle.half_x_m), steps(rectangle.half_y_m));
         let cell =
             (2.0 * rectangle.half_x_m / f64::from(nx)) * (2.0 * rectangle.half_y_m / f64::from(ny));
@@ -211,8 +210,6 @@ impl World {
         let mut mask = PlaneMask::default();
         for p in &hull {
             mask.insert(p);
-            mask.insert(&Point2::new(p.x + 0.07, p.y));
-            mask.insert(&Point2::new(p.x, p.y + 0.07));
         }
         let hull = convex_hull(&hull);
         let variance = RANGE_SIGMA_M * RANGE_SIGMA_M;
