@@ -4,3 +4,5 @@
 
 mod layering;
 mod mapping;
+mod protocol;
+mod terrain;

@@ -1,0 +1,3 @@
+//! The protocol from outside: the reference's own lines, properties and captured text.
+
+mod vectors;

@@ -1,0 +1,4 @@
+//! Terrain, navigation and exploration in small analytic worlds.
+
+mod edges;
+mod world;
