@@ -109,11 +109,22 @@ pub fn carried_hull(hull: &[Point2<f64>], plane_from_other: &Isometry3<f64>) -> 
 /// Whether a carried hull lies on a landmark's hull: their overlap exceeds `share` of the smaller
 /// one, or the gap between them is at most `gap_m`.
 pub fn hulls_meet(hull: &[Point2<f64>], carried: &[Point2<f64>], share: f64, gap_m: f64) -> bool {
+    let (ours, theirs) = (extent(hull), extent(carried));
+    let apart = |k: usize| ours.0[k] > theirs.1[k] + gap_m || theirs.0[k] > ours.1[k] + gap_m;
+    if apart(0) || apart(1) {
+        return false;
+    }
     // Carried hulls keep their sense of rotation as long as both normals agree, which the test of
     // facing has settled before.
     let smaller = polygon_area(hull).min(polygon_area(carried));
     let overlap = polygon_area(&clip_convex(carried, hull));
     overlap > share * smaller || convex_gap_m(hull, carried) <= gap_m
+}
+
+/// Lowest and highest coordinates of a polygon.
+fn extent(polygon: &[Point2<f64>]) -> (Point2<f64>, Point2<f64>) {
+    let start = (Point2::new(f64::MAX, f64::MAX), Point2::new(f64::MIN, f64::MIN));
+    polygon.iter().fold(start, |(low, high), p| (low.inf(p), high.sup(p)))
 }
 
 #[cfg(test)]

@@ -6,6 +6,8 @@ use std::collections::BTreeMap;
 pub const MASK_CELL_M: f64 = 0.1;
 /// Cells along the edge of a tile; a tile is one `u64`.
 const TILE: i32 = 8;
+/// Cells of which a mask is sampled when only nearness is asked.
+const NEAR_SAMPLES: usize = 200;
 /// No scanner spans a longer gap between neighbouring beams on one surface.
 const LONGEST_TRIANGLE_M: f64 = 50.0;
 
@@ -103,22 +105,56 @@ impl PlaneMask {
         // Quarter points: a lattice of half a cell meets every cell whatever the turn, so a filled
         // area stays filled.
         let quarter = 0.25 * MASK_CELL_M;
+        let turn = self_from_other.rotation.to_rotation_matrix().into_inner();
+        let shift = self_from_other.translation.vector;
+        // Bits of the tile that the walk is in; written out when it leaves.
+        let mut at = None;
+        let mut bits = 0;
         for cell in other.cells() {
-            for (dx, dy) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
-                let p = Point3::new(cell.x + dx * quarter, cell.y + dy * quarter, 0.0);
-                self.insert(&(self_from_other * p).xy());
+            for (dx, dy) in
+                [(-quarter, -quarter), (quarter, -quarter), (-quarter, quarter), (quarter, quarter)]
+            {
+                let (u, v) = (cell.x + dx, cell.y + dy);
+                let x = cell_of(turn[(0, 0)] * u + turn[(0, 1)] * v + shift.x);
+                let y = cell_of(turn[(1, 0)] * u + turn[(1, 1)] * v + shift.y);
+                let tile = (x.div_euclid(TILE), y.div_euclid(TILE));
+                if at != Some(tile) {
+                    self.set_bits(at, bits);
+                    (at, bits) = (Some(tile), 0);
+                }
+                bits |= 1 << (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE));
             }
+        }
+        self.set_bits(at, bits);
+    }
+
+    fn set_bits(&mut self, tile: Option<(i32, i32)>, bits: u64) {
+        if let Some(tile) = tile {
+            *self.tiles.entry(tile).or_default() |= bits;
         }
     }
 
-    /// Whether any cell of `other`, carried over by `self_from_other`, lies within `reach_m` of a
-    /// cell that is set here.
+    /// Whether any cell of `other`, carried over by `self_from_other`, lies within `reach_m` (in each
+    /// axis) of a cell that is set here. A large `other` is sampled at some hundred cells.
     pub fn near(&self, other: &Self, self_from_other: &Isometry3<f64>, reach_m: f64) -> bool {
         let reach = (reach_m / MASK_CELL_M).ceil() as i32;
-        other.cells().any(|cell| {
+        let stride = (other.count() / NEAR_SAMPLES).max(1);
+        other.cells().step_by(stride).any(|cell| {
             let p = self_from_other * Point3::new(cell.x, cell.y, 0.0);
-            let (x, y) = (cell_of(p.x), cell_of(p.y));
-            (-reach..=reach).any(|dy| (-reach..=reach).any(|dx| self.get(x + dx, y + dy)))
+            self.any_within(cell_of(p.x), cell_of(p.y), reach)
+        })
+    }
+
+    /// Whether a cell within `reach` cells of `(x, y)` in each axis is set.
+    fn any_within(&self, x: i32, y: i32, reach: i32) -> bool {
+        let (low_x, high_x, low_y, high_y) = (x - reach, x + reach, y - reach, y + reach);
+        (low_y.div_euclid(TILE)..=high_y.div_euclid(TILE)).any(|tile_y| {
+            let rows = bits_between(low_y - tile_y * TILE, high_y - tile_y * TILE);
+            (low_x.div_euclid(TILE)..=high_x.div_euclid(TILE)).any(|tile_x| {
+                let Some(bits) = self.tiles.get(&(tile_x, tile_y)) else { return false };
+                let columns = bits_between(low_x - tile_x * TILE, high_x - tile_x * TILE);
+                (0..TILE).any(|row| rows >> row & 1 == 1 && bits >> (row * TILE) & columns != 0)
+            })
         })
     }
 
@@ -144,6 +180,12 @@ impl PlaneMask {
         }
         pieces
     }
+}
+
+/// Ones from `low` to `high`, both cut to one row of a tile.
+fn bits_between(low: i32, high: i32) -> u64 {
+    let (low, high) = (low.clamp(0, TILE), (high + 1).clamp(0, TILE));
+    if low >= high { 0 } else { (1 << high) - (1 << low) }
 }
 
 fn centre(x: i32, y: i32) -> (f64, f64) {
@@ -187,6 +229,25 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn near_agrees_with_a_search_cell_by_cell(
+            a in prop::collection::vec((-20..20_i32, -20..20_i32), 0..12),
+            b in prop::collection::vec((-20..20_i32, -20..20_i32), 0..12), reach in 0..9_i32,
+        ) {
+            let mask = |cells: &[(i32, i32)]| {
+                let mut mask = PlaneMask::default();
+                for &(x, y) in cells {
+                    mask.set(x, y);
+                }
+                mask
+            };
+            let expected = a.iter().any(|(x, y)| {
+                b.iter().any(|(u, v)| (x - u).abs() <= reach && (y - v).abs() <= reach)
+            });
+            let reach_m = f64::from(reach) * MASK_CELL_M - 1e-9;
+            prop_assert_eq!(mask(&a).near(&mask(&b), &Isometry3::identity(), reach_m), expected);
+        }
+
         #[test]
         fn a_filled_area_stays_filled_under_any_turn(angle in -3.2..3.2f64, x in -2.0..2.0f64) {
             let turned = Isometry3::from_parts(

@@ -2,6 +2,9 @@ use super::perturbation::{first_jacobian, second_jacobian, symmetric};
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+/// Share of the fixed part of a motion's error that stays when there was none.
+const REST_SHARE: f64 = 0.1;
+
 /// How wrong wheel odometry of a skid-steered robot is, per way driven and angle turned.
 ///
 /// Each standard deviation is the root of the sum of the squares of a fixed part, a part per metre
@@ -11,10 +14,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct OdometryNoise {
-    /// Position along and across, fixed part, in metres. Valid: above 0.
-    pub still_m: f64,
-    /// Heading, pitch and roll, fixed part, in radians. Valid: above 0.
-    pub still_rad: f64,
+    /// Position and height, fixed part of any motion, in metres: starting and stopping. Valid: above 0.
+    pub fixed_m: f64,
+    /// Heading, pitch and roll, fixed part of any motion, in radians. Valid: above 0.
+    pub fixed_rad: f64,
     /// Position error per metre of path. Valid: 0 to 1.
     pub position_per_m: f64,
     /// Position error in metres per radian turned: a skid-steered robot walks while it turns.
@@ -33,8 +36,8 @@ pub struct OdometryNoise {
 impl Default for OdometryNoise {
     fn default() -> Self {
         Self {
-            still_m: 0.01,
-            still_rad: 0.005,
+            fixed_m: 0.01,
+            fixed_rad: 0.005,
             position_per_m: 0.08,
             position_per_rad: 0.08,
             heading_per_m: 0.05,
@@ -82,11 +85,13 @@ impl OdometryNoise {
     pub fn covariance(&self, motion: &Motion) -> Matrix6<f64> {
         let sum = |parts: [f64; 3]| parts.iter().map(|part| part * part).sum::<f64>();
         let (path, turn) = (motion.path_m, motion.turn_rad);
-        let position =
-            sum([self.still_m, self.position_per_m * path, self.position_per_rad * turn]);
-        let heading = sum([self.still_rad, self.heading_per_m * path, self.heading_per_rad * turn]);
-        let height = sum([self.still_m, self.height_per_m * path, 0.0]);
-        let attitude = sum([self.still_rad, self.attitude_per_m * path, 0.0]);
+        // A robot that was not told to move still rocks a little on its wheels.
+        let rest = if motion.is_still() { REST_SHARE } else { 1.0 };
+        let (fixed_m, fixed_rad) = (rest * self.fixed_m, rest * self.fixed_rad);
+        let position = sum([fixed_m, self.position_per_m * path, self.position_per_rad * turn]);
+        let heading = sum([fixed_rad, self.heading_per_m * path, self.heading_per_rad * turn]);
+        let height = sum([fixed_m, self.height_per_m * path, 0.0]);
+        let attitude = sum([fixed_rad, self.attitude_per_m * path, 0.0]);
         let mut covariance = Matrix6::from_diagonal(&nalgebra::Vector6::new(
             position, position, height, attitude, attitude, heading,
         ));

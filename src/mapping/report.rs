@@ -38,6 +38,33 @@ pub struct UpdateReport {
     pub iterations: usize,
 }
 
+impl UpdateReport {
+    /// A report to be filled in.
+    pub(super) fn begun(keyframe: usize, nis: f64) -> Self {
+        Self {
+            keyframe,
+            world_from_robot: Isometry3::identity(),
+            covariance: Matrix6::zeros(),
+            associations: Vec::new(),
+            added: Vec::new(),
+            refused: Vec::new(),
+            nis,
+            nis_degrees: 0,
+            weak_directions: Vec::new(),
+            moved: Vec::new(),
+            merged: Vec::new(),
+            loop_closed: false,
+            loop_undone: false,
+            hypotheses: 1,
+            iterations: 0,
+        }
+    }
+
+    pub(super) fn refuse(&mut self, observation: usize, reason: RefusalReason) {
+        self.refused.push(Refusal { observation, reason });
+    }
+}
+
 /// An observation accepted as a landmark of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Association {
@@ -75,8 +102,9 @@ pub enum RefusalReason {
     FailedRetest(f64),
     /// It fits several landmarks, and nothing decides between them yet.
     Ambiguous,
-    /// Its covariance or frame is not usable.
-    Unusable,
+    /// It is too far from a landmark to be it and too near to be something else; the number is the
+    /// squared Mahalanobis distance.
+    Doubtful(f64),
 }
 
 /// A direction in which a scan did not fix the robot.

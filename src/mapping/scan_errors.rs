@@ -19,6 +19,11 @@ pub struct ScanErrors {
 }
 
 impl ScanErrors {
+    /// Whether the scan has any error of this kind.
+    pub fn any(&self) -> bool {
+        self.sigmas().amax() > 0.0
+    }
+
     /// The four standard deviations: tilt offset, tilt scale, range bias, range scale.
     pub fn sigmas(&self) -> Vector4<f64> {
         Vector4::new(
