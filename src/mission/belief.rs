@@ -108,7 +108,6 @@ pub struct Belief {
     start: Isometry3<f64>,
     assumed_radius_m: f64,
     path_m: f64,
-    odometry_alone: Isometry3<f64>,
 }
 
 /// What was gathered since the last keyframe; places are relative to it.
@@ -143,7 +142,6 @@ impl Belief {
             start,
             assumed_radius_m,
             path_m: 0.0,
-            odometry_alone: start,
             config,
         }
     }
@@ -177,14 +175,30 @@ impl Belief {
         self.live.project(&self.world_from_robot())
     }
 
+    /// Takes the disc of `radius_m` about the robot for ground.
+    pub fn assume(&mut self, radius_m: f64) {
+        let pose = self.world_from_robot();
+        self.live.assume(&pose, radius_m);
+        self.settled.assume(&pose, radius_m);
+        self.assumed_radius_m = self.assumed_radius_m.max(radius_m);
+    }
+
+    /// Begins anew at the same place for a robot of another shape. Motion so far is kept.
+    pub fn restart(&mut self, shape: RobotShape) {
+        let mut terrain = Terrain::new(self.config.terrain.clone(), shape);
+        terrain.assume(&self.start, self.assumed_radius_m);
+        self.settled = terrain.clone();
+        self.live = terrain;
+    }
+
+    /// Length of the way since the last sweep, in metres.
+    pub fn leg_m(&self) -> f64 {
+        self.leg.path_m
+    }
+
     /// Length of the path believed driven, in metres.
     pub fn path_m(&self) -> f64 {
         self.path_m
-    }
-
-    /// Where wheel odometry alone would have the robot.
-    pub fn odometry_alone(&self) -> &Isometry3<f64> {
-        &self.odometry_alone
     }
 
     /// The last attitude reading.
@@ -199,11 +213,6 @@ impl Belief {
 
     /// Takes in a wheel odometry reading of the time `stamp`.
     pub fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
-        let alone = nalgebra::Isometry3::from_parts(
-            nalgebra::Translation3::new(wheels.x_m, wheels.y_m, 0.0),
-            nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, wheels.heading_rad),
-        );
-        self.odometry_alone = self.start * alone;
         let Some(increment) = self.motion.wheels(wheels) else { return };
         self.mapper.predict(&increment);
         self.keyframe_from_robot *= increment;

@@ -1,13 +1,30 @@
 //! The agent: events in, actions out.
+//!
+//! [`Agent`] is the whole of it; a driver feeds it and does what it says. Inside, a session is first
+//! opened ([`Opening`]), then a robot is in service ([`Running`]): readings enter its [`Belief`],
+//! autonomy or an operator decides what to do next, and the pilot lets through what is safe.
 
+mod agent;
+mod autonomy;
 mod belief;
+mod config;
+mod event;
 mod journal;
+mod ledger;
 mod motion;
 mod opening;
 mod operator;
+mod pilot;
+mod running;
+mod teleop;
 
+pub use agent::{Agent, Tally};
 pub use belief::{Belief, BeliefConfig, ScanFindings};
+pub use config::{AgentConfig, MissionConfig};
+pub use event::{Action, Event, Outcome};
 pub use journal::{Journal, Level, Note};
+pub use ledger::{Ledger, Pastime, SweepEntry, TimeSplit};
 pub use motion::{BodyAttitude, MotionTracker, PlanarPose};
 pub use opening::{Opening, OpeningConfig, OpeningStep, Placement};
 pub use operator::{DRIVE_LEASE, DriveLease, Mode, OperatorDecodeError, OperatorEvent};
+pub use running::Running;

@@ -4,9 +4,10 @@
 //! UT2004 servers keep one GETGEO and one GETCONF per tick in single slots, so each question waits
 //! for its answer; UDK servers say nothing where they have nothing, so each wait ends.
 
-use crate::protocol::command::{Init, Query};
-use crate::protocol::message::{Conf, Geo, Nfo, Sen};
+use crate::protocol::command::Init;
+use crate::protocol::message::{Nfo, Sen};
 use crate::protocol::{Command, Dialect, Message, NamedPose, WirePose};
+use crate::robot::RigBuilder;
 use crate::time::{Arrival, Span};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -50,16 +51,10 @@ enum Stage {
     StartPoses,
     FirstSta,
     Listening,
-    Answer(Question),
+    Answer(Command),
+    Observing,
     Open,
     Failed,
-}
-
-/// One GETGEO or GETCONF.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Question {
-    geo: bool,
-    type_name: String,
 }
 
 /// What the opening has to say.
@@ -86,9 +81,10 @@ pub struct Opening {
     deadline: Arrival,
     start_poses: Vec<NamedPose>,
     level: Option<String>,
-    questions: VecDeque<Question>,
+    questions: VecDeque<Command>,
     sensor_types: Vec<String>,
     pose: Option<WirePose>,
+    rig: Option<RigBuilder>,
 }
 
 impl Opening {
@@ -112,7 +108,17 @@ impl Opening {
             questions: VecDeque::new(),
             sensor_types: Vec::new(),
             pose: None,
+            rig: None,
         }
+    }
+
+    /// An opening that asks nothing: for recordings of others, whose lines tell what they tell. It
+    /// opens with the first STA.
+    pub fn observing(class_name: &str) -> Self {
+        let config = OpeningConfig { listen_s: 0.0, ..OpeningConfig::default() };
+        let mut opening = Self::new(config, class_name, "", Placement::FirstStart, Arrival(0));
+        opening.stage = Stage::Observing;
+        opening
     }
 
     /// Name of the server's level, once it has greeted.
@@ -126,21 +132,34 @@ impl Opening {
         self.pose
     }
 
+    /// The rig as far as the server has told; `None` before the first STA.
+    pub fn rig(&self) -> Option<&RigBuilder> {
+        self.rig.as_ref()
+    }
+
     /// When the opening wants to be woken.
     pub fn next_wakeup(&self) -> Option<Arrival> {
         match self.stage {
-            Stage::Open | Stage::Failed => None,
+            Stage::Open | Stage::Failed | Stage::Observing => None,
             _ => Some(self.deadline),
         }
     }
 
-    /// Takes in a message.
-    pub fn message(&mut self, message: &Message, now: Arrival) -> Vec<OpeningStep> {
+    /// Takes in a message. `dialect` is what the lines so far have told.
+    pub fn message(
+        &mut self,
+        message: &Message,
+        dialect: Option<Dialect>,
+        now: Arrival,
+    ) -> Vec<OpeningStep> {
         if let Message::Sen(sensor) = message
             && let Some(name) = asked_type(sensor)
             && !self.sensor_types.iter().any(|known| known == name)
         {
             self.sensor_types.push(name.to_owned());
+        }
+        if let Some(rig) = &mut self.rig {
+            rig.learn(message);
         }
         match (&self.stage, message) {
             (Stage::Greeting, Message::Nfo(Nfo::Greeting(greeting))) => {
@@ -154,17 +173,32 @@ impl Opening {
             (Stage::FirstSta, Message::Sta(_)) => {
                 self.stage = Stage::Listening;
                 self.deadline = now + Span::from_seconds(self.config.listen_s);
+                let stands = self.pose.map_or([0.0; 3], |pose| pose.orientation);
+                self.rig = Some(
+                    RigBuilder::new(dialect.unwrap_or_default(), &self.class_name)
+                        .standing_at(stands),
+                );
                 Vec::new()
             }
-            (Stage::Answer(question), message) if question.is_answered_by(message) => {
-                self.ask_next(now)
+            (Stage::Observing, Message::Nfo(Nfo::Greeting(greeting))) => {
+                self.level = Some(greeting.level.clone());
+                Vec::new()
             }
+            (Stage::Observing, Message::Sta(_)) => {
+                self.stage = Stage::Open;
+                vec![OpeningStep::Open]
+            }
+            (Stage::Answer(question), _) if self.has_answer(question) => self.ask_next(now),
             _ => Vec::new(),
         }
     }
 
-    /// Takes in that time has passed. `dialect` is what the lines so far have told.
-    pub fn wake(&mut self, dialect: Option<Dialect>, now: Arrival) -> Vec<OpeningStep> {
+    fn has_answer(&self, question: &Command) -> bool {
+        self.rig.as_ref().is_some_and(|rig| rig.has_answer(question))
+    }
+
+    /// Takes in that time has passed.
+    pub fn wake(&mut self, now: Arrival) -> Vec<OpeningStep> {
         if now < self.deadline {
             return Vec::new();
         }
@@ -189,21 +223,14 @@ impl Opening {
                 ))]
             }
             Stage::Listening => {
-                self.plan_questions(dialect);
+                let questions = self.rig.as_ref().map(RigBuilder::queries).unwrap_or_default();
+                let wanted = questions.into_iter().filter(|query| self.is_worth_asking(query));
+                self.questions = wanted.collect();
                 self.ask_next(now)
             }
-            Stage::Answer(question) => {
-                let warning = format!(
-                    "no answer to {} {{Type {}}} within {} s",
-                    if question.geo { "GETGEO" } else { "GETCONF" },
-                    question.type_name,
-                    self.config.answer_timeout_s
-                );
-                let mut steps = vec![OpeningStep::Warn(warning)];
-                steps.extend(self.ask_next(now));
-                steps
-            }
-            Stage::Open | Stage::Failed => Vec::new(),
+            // What is missing the rig supposes, and says so.
+            Stage::Answer(_) => self.ask_next(now),
+            Stage::Open | Stage::Failed | Stage::Observing => Vec::new(),
         }
     }
 
@@ -258,20 +285,13 @@ impl Opening {
         steps
     }
 
-    /// The robot, what carries the laser, the laser itself, then every sensor that was heard.
-    fn plan_questions(&mut self, dialect: Option<Dialect>) {
-        let mut types = vec!["Robot".to_owned()];
-        match dialect {
-            Some(Dialect::Ut2004) => types.push("MisPkg".into()),
-            Some(Dialect::Udk) => types.push("Actuator".into()),
-            None => types.extend(["MisPkg".into(), "Actuator".into()]),
-        }
-        types.push("RangeScanner".into());
-        types.extend(self.sensor_types.iter().cloned());
-        self.questions = types
-            .into_iter()
-            .flat_map(|name| [true, false].map(|geo| Question { geo, type_name: name.clone() }))
-            .collect();
+    /// Whether a question may be answered: sensors that were not heard are not asked after, since
+    /// UDK servers would let the wait run out on each.
+    fn is_worth_asking(&self, query: &Command) -> bool {
+        let (Command::GetGeo(query) | Command::GetConf(query)) = query else { return false };
+        let always = ["Robot", "MisPkg", "Actuator", "RangeScanner"];
+        let is = |name: &str| name.eq_ignore_ascii_case(&query.type_name);
+        always.iter().any(|name| is(name)) || self.sensor_types.iter().any(|name| is(name))
     }
 
     fn ask_next(&mut self, now: Arrival) -> Vec<OpeningStep> {
@@ -279,11 +299,9 @@ impl Opening {
             self.stage = Stage::Open;
             return vec![OpeningStep::Open];
         };
-        let query = Query::of(&question.type_name);
-        let command = if question.geo { Command::GetGeo(query) } else { Command::GetConf(query) };
         self.deadline = now + Span::from_seconds(self.config.answer_timeout_s);
-        self.stage = Stage::Answer(question);
-        vec![OpeningStep::Send(command)]
+        self.stage = Stage::Answer(question.clone());
+        vec![OpeningStep::Send(question)]
     }
 }
 
@@ -298,35 +316,6 @@ fn asked_type(sensor: &Sen) -> Option<&'static str> {
         Sen::Rfid(_) => "RFID",
         _ => return None,
     })
-}
-
-impl Question {
-    fn is_answered_by(&self, message: &Message) -> bool {
-        match message {
-            Message::Geo(geo) if self.geo => self.is_about(match geo {
-                Geo::Robot(_) => "Robot",
-                Geo::Items(items) => &items.type_name,
-                Geo::MisPkg(items) => &items.type_name,
-                Geo::Actuator(items) => &items.type_name,
-            }),
-            Message::Conf(conf) if !self.geo => self.is_about(match conf {
-                Conf::Robot(_) => "Robot",
-                Conf::RangeScanner(items) => &items.type_name,
-                Conf::Sonar(items) => &items.type_name,
-                Conf::VictSensor(items) => &items.type_name,
-                Conf::Camera(items) => &items.type_name,
-                Conf::Gripper(items) => &items.type_name,
-                Conf::MisPkg(items) => &items.type_name,
-                Conf::Actuator(items) => &items.type_name,
-                Conf::Item(items) => &items.type_name,
-            }),
-            _ => false,
-        }
-    }
-
-    fn is_about(&self, type_name: &str) -> bool {
-        self.type_name.eq_ignore_ascii_case(type_name)
-    }
 }
 
 #[cfg(test)]
@@ -351,10 +340,10 @@ mod tests {
             ["NFO {Gametype BotDeathMatch} {Level DM-Box} {TimeLimit 0}"].into();
         for _ in 0..200 {
             let steps = match inbox.pop_front() {
-                Some(line) => opening.message(&parse(line.as_bytes()).message, now),
+                Some(line) => opening.message(&parse(line.as_bytes()).message, Some(dialect), now),
                 None => {
                     now = opening.next_wakeup().expect("an unfinished opening names its wake-up");
-                    opening.wake(Some(dialect), now)
+                    opening.wake(now)
                 }
             };
             for step in steps {
@@ -396,7 +385,7 @@ mod tests {
                 "GETCONF {Type Robot}",
             ]
         );
-        assert_eq!(sent.last().unwrap(), "GETCONF {Type Odometry}");
+        assert_eq!(sent.last().unwrap(), "GETGEO {Type Odometry}");
         assert_eq!(opening.placed_at().unwrap().location, [1.0, 2.0, -0.1]);
         assert_eq!(opening.level(), Some("DM-Box"));
     }

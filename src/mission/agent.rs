@@ -1,0 +1,399 @@
+use super::config::AgentConfig;
+use super::event::{Action, Event, Outcome};
+use super::journal::{Journal, Level};
+use super::ledger::Pastime;
+use super::opening::{Opening, OpeningStep, Placement};
+use super::operator::OperatorEvent;
+use super::running::{Desk, Running, Verdict};
+use crate::protocol::{Command, Dialect, Message, ProblemKind, WirePose, parse};
+use crate::robot::{RigBuilder, core_pose};
+use crate::time::{Arrival, Span};
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Damaged lines in a row that end a session: whatever speaks there, it is not this protocol.
+const HOPELESS: usize = 1_000;
+
+/// What came over the link, counted.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Tally {
+    /// Lines read.
+    pub lines: usize,
+    /// Lines of a type that is not known, by their first word.
+    pub unknown: BTreeMap<String, usize>,
+    /// Damage, by kind.
+    pub problems: BTreeMap<ProblemKind, usize>,
+    /// The first few damaged places, quoted.
+    pub quoted: Vec<String>,
+    bad_in_a_row: usize,
+}
+
+/// The agent: a deterministic value that is told events and answers with actions.
+///
+/// Its methods are of three kinds. [`handle`](Self::handle) is the one door for everything that
+/// happens; [`next_wakeup`](Self::next_wakeup) names the time at which it wants to be told
+/// [`Event::Wake`] if nothing else happens before; all others only look. It has no clock, no socket
+/// and no file, so that a live run, a simulated one and a replay are the same computation.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Agent {
+    config: AgentConfig,
+    placement: Placement,
+    journal: Journal,
+    tally: Tally,
+    dialect: Option<Dialect>,
+    phase: Phase,
+    began: Option<Arrival>,
+    last_line: Option<Arrival>,
+    silent: bool,
+    level: Option<String>,
+    warnings: Vec<String>,
+    operator_acts: usize,
+    leased: Span,
+    clock: Arrival,
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+enum Phase {
+    /// No link yet.
+    Waiting,
+    /// The session is being opened.
+    Opening(Box<Opening>),
+    /// The robot is in service.
+    Running(Box<Running>),
+    /// All is over; what the robot believed stays.
+    Ended(Outcome, Option<Box<Running>>),
+}
+
+impl Agent {
+    /// An agent that waits for its link.
+    pub fn new(config: AgentConfig, placement: Placement) -> Self {
+        Self {
+            config,
+            placement,
+            journal: Journal::default(),
+            tally: Tally::default(),
+            dialect: None,
+            phase: Phase::Waiting,
+            began: None,
+            last_line: None,
+            silent: false,
+            level: None,
+            warnings: Vec::new(),
+            operator_acts: 0,
+            leased: Span::ZERO,
+            clock: Arrival::default(),
+        }
+    }
+
+    /// Takes in one event that happened at `now`; times must not decrease.
+    pub fn handle(&mut self, event: &Event, now: Arrival) -> Vec<Action> {
+        self.account(now);
+        let mut out = Vec::new();
+        let outcome = match event {
+            Event::Connected => {
+                self.connected(now);
+                None
+            }
+            Event::Line(line) => self.line(line, now, &mut out),
+            Event::Operator(event) => self.operator(event, now, &mut out),
+            Event::Wake => self.wake(now, &mut out),
+            Event::Disconnected(reason) => Some(Outcome::LinkLost(reason.clone())),
+            Event::End(reason) => Some(match reason.as_str() {
+                "time" => Outcome::Time,
+                _ => Outcome::Stopped(reason.clone()),
+            }),
+        };
+        let outcome = outcome.or_else(|| self.time_is_up(now).then_some(Outcome::Time));
+        let mut actions: Vec<Action> = out.into_iter().map(Action::Send).collect();
+        if let Some(outcome) = outcome
+            && !matches!(self.phase, Phase::Ended(..))
+        {
+            actions.extend(self.end(outcome, now));
+        }
+        actions
+    }
+
+    /// When the agent wants to be told [`Event::Wake`] if nothing happens before.
+    pub fn next_wakeup(&self) -> Option<Arrival> {
+        let watchdog = self
+            .last_line
+            .filter(|_| !self.silent)
+            .map(|at| at + Span::from_seconds(self.config.mission.silence_s));
+        let end = self.began.and_then(|began| {
+            let limit_s = self.config.mission.time_limit_s;
+            (limit_s > 0.0).then(|| began + Span::from_seconds(limit_s))
+        });
+        let inner = match &self.phase {
+            Phase::Waiting | Phase::Ended(..) => return None,
+            Phase::Opening(opening) => opening.next_wakeup(),
+            Phase::Running(running) => running.next_wakeup(),
+        };
+        [inner, watchdog, end].into_iter().flatten().min()
+    }
+
+    /// The dialect to encode commands in.
+    pub fn dialect(&self) -> Dialect {
+        self.dialect.unwrap_or_default()
+    }
+
+    /// The settings.
+    pub fn config(&self) -> &AgentConfig {
+        &self.config
+    }
+
+    /// The diary.
+    pub fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    /// What came over the link.
+    pub fn tally(&self) -> &Tally {
+        &self.tally
+    }
+
+    /// Name of the server's level.
+    pub fn level(&self) -> Option<&str> {
+        self.level.as_deref()
+    }
+
+    /// What had to be supposed about the rig, and what of the ground it cannot see.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// How the mission ended, if it has.
+    pub fn outcome(&self) -> Option<&Outcome> {
+        match &self.phase {
+            Phase::Ended(outcome, _) => Some(outcome),
+            _ => None,
+        }
+    }
+
+    /// The robot in service, also after the mission's end.
+    pub fn running(&self) -> Option<&Running> {
+        match &self.phase {
+            Phase::Running(running) => Some(running),
+            Phase::Ended(_, running) => running.as_deref(),
+            Phase::Waiting | Phase::Opening(_) => None,
+        }
+    }
+
+    /// Acts of an operator so far.
+    pub fn operator_acts(&self) -> usize {
+        self.operator_acts
+    }
+
+    /// Time under a drive lease so far.
+    pub fn leased(&self) -> Span {
+        self.leased
+    }
+
+    /// Session time since the link came up.
+    pub fn mission_time(&self) -> Span {
+        self.began.map_or(Span::ZERO, |began| self.clock - began)
+    }
+
+    /// Books the time since the last event.
+    fn account(&mut self, now: Arrival) {
+        let since = now - self.clock;
+        self.clock = self.clock.max(now);
+        if let Phase::Running(running) = &mut self.phase {
+            let pastime = running.pastime();
+            running.ledger.spend(now, pastime);
+            if running.lease.command(now).is_some() {
+                self.leased += since;
+            }
+        }
+    }
+
+    fn connected(&mut self, now: Arrival) {
+        self.began.get_or_insert(now);
+        if self.config.mission.observe {
+            self.journal.note(now, Level::Info, "observing: nothing will be sent");
+            self.phase = Phase::Opening(Box::new(Opening::observing(&self.config.mission.class)));
+            return;
+        }
+        let mission = &self.config.mission;
+        self.journal.note(now, Level::Info, "connected; opening the session");
+        self.phase = Phase::Opening(Box::new(Opening::new(
+            self.config.opening,
+            &mission.class,
+            &mission.name,
+            self.placement.clone(),
+            now,
+        )));
+    }
+
+    fn line(&mut self, line: &[u8], now: Arrival, out: &mut Vec<Command>) -> Option<Outcome> {
+        self.last_line = Some(now);
+        if std::mem::take(&mut self.silent) {
+            self.journal.note(now, Level::Info, "the server speaks again");
+        }
+        if self.dialect.is_none() {
+            self.dialect = Dialect::of_line(line);
+        }
+        let parsed = parse(line);
+        self.tally.take(line, &parsed.message, &parsed.problems);
+        if self.tally.bad_in_a_row >= HOPELESS {
+            return Some(Outcome::LinkLost(format!(
+                "{HOPELESS} damaged lines in a row, the first: {}",
+                self.tally.quoted.join(" | ")
+            )));
+        }
+        match &mut self.phase {
+            Phase::Opening(opening) => {
+                let steps = opening.message(&parsed.message, self.dialect, now);
+                self.opening_steps(steps, now, out)
+            }
+            Phase::Running(running) => {
+                let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+                match running.message(&parsed.message, &mut desk) {
+                    Verdict::GoOn => None,
+                    Verdict::Explored => Some(Outcome::Explored),
+                    Verdict::Fallen => Some(Outcome::Fallen),
+                }
+            }
+            Phase::Waiting | Phase::Ended(..) => None,
+        }
+    }
+
+    fn opening_steps(
+        &mut self,
+        steps: Vec<OpeningStep>,
+        now: Arrival,
+        out: &mut Vec<Command>,
+    ) -> Option<Outcome> {
+        for step in steps {
+            match step {
+                OpeningStep::Send(command) => out.push(command),
+                OpeningStep::Warn(text) => self.warn(now, text),
+                OpeningStep::Failed(reason) => return Some(Outcome::NoRobot(reason)),
+                OpeningStep::Open => self.open(now, out),
+            }
+        }
+        None
+    }
+
+    /// The opening is done: the rig is built and put into service.
+    fn open(&mut self, now: Arrival, out: &mut Vec<Command>) {
+        let Phase::Opening(opening) = &self.phase else { return };
+        self.level = opening.level().map(str::to_owned);
+        let placed = opening.placed_at();
+        let builder = opening
+            .rig()
+            .cloned()
+            .unwrap_or_else(|| RigBuilder::new(self.dialect(), &self.config.mission.class));
+        let (rig, warnings) = builder.build();
+        for warning in warnings {
+            self.warn(now, warning.to_string());
+        }
+        if !rig.is_planar()
+            && let Some(sight) = rig.visibility()
+            && let Some(nearest_m) = sight.nearest_from_centre_m
+        {
+            self.warn(now, format!("ground nearer than {nearest_m:.2} m ahead cannot be seen"));
+        }
+        let start = placed.map_or_else(Isometry3::identity, level_start);
+        let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+        desk.info(format!("in service: {} on {:?}", rig.class, rig.dialect));
+        let running = Running::new(rig, start, &mut desk);
+        self.phase = Phase::Running(Box::new(running));
+    }
+
+    fn warn(&mut self, now: Arrival, text: String) {
+        self.journal.note(now, Level::Warn, text.clone());
+        self.warnings.push(text);
+    }
+
+    fn operator(
+        &mut self,
+        event: &OperatorEvent,
+        now: Arrival,
+        out: &mut Vec<Command>,
+    ) -> Option<Outcome> {
+        self.operator_acts += 1;
+        if *event == OperatorEvent::Quit {
+            return Some(Outcome::Stopped("by the operator".into()));
+        }
+        if let Phase::Running(running) = &mut self.phase {
+            let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+            running.operator(event, &mut desk);
+        }
+        None
+    }
+
+    fn wake(&mut self, now: Arrival, out: &mut Vec<Command>) -> Option<Outcome> {
+        let silence = Span::from_seconds(self.config.mission.silence_s);
+        if !self.silent && self.last_line.is_some_and(|at| now - at >= silence) {
+            self.silent = true;
+            self.journal.note(now, Level::Warn, "the server is silent; wheels stopped");
+            if let Phase::Running(running) = &mut self.phase {
+                let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+                running.stop(&mut desk);
+            }
+        }
+        match &mut self.phase {
+            Phase::Opening(opening) => {
+                let steps = opening.wake(now);
+                self.opening_steps(steps, now, out)
+            }
+            Phase::Running(running) => {
+                let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+                running.wake(&mut desk);
+                None
+            }
+            Phase::Waiting | Phase::Ended(..) => None,
+        }
+    }
+
+    fn time_is_up(&self, now: Arrival) -> bool {
+        let limit_s = self.config.mission.time_limit_s;
+        limit_s > 0.0 && self.began.is_some_and(|began| now - began >= Span::from_seconds(limit_s))
+    }
+
+    /// Stops the wheels and ends the mission.
+    fn end(&mut self, outcome: Outcome, now: Arrival) -> Vec<Action> {
+        self.journal.note(now, Level::Info, format!("mission over: {}", outcome.word()));
+        let mut actions = Vec::new();
+        let running = match std::mem::replace(&mut self.phase, Phase::Waiting) {
+            Phase::Running(mut running) => {
+                running.ledger.spend(now, Pastime::Think);
+                running.refresh_grid(now);
+                if !self.config.mission.observe {
+                    actions.push(Action::Send(running.rig.stop_command()));
+                }
+                Some(running)
+            }
+            _ => None,
+        };
+        self.phase = Phase::Ended(outcome.clone(), running);
+        actions.push(Action::Finish(outcome));
+        actions
+    }
+}
+
+impl Tally {
+    fn take(&mut self, line: &[u8], message: &Message, problems: &[crate::protocol::Problem]) {
+        const QUOTES: usize = 3;
+        self.lines += 1;
+        if let Message::Unknown(raw) = message {
+            *self.unknown.entry(raw.verb.clone()).or_default() += 1;
+        }
+        let lost = !problems.is_empty();
+        self.bad_in_a_row = if lost { self.bad_in_a_row + 1 } else { 0 };
+        for problem in problems {
+            if self.quoted.len() < QUOTES {
+                let start = String::from_utf8_lossy(&line[..line.len().min(60)]).into_owned();
+                self.quoted.push(format!("{}: `{start}`", problem.kind));
+            }
+            *self.problems.entry(problem.kind.clone()).or_default() += 1;
+        }
+    }
+}
+
+/// Where the map begins: the place that INIT named, standing level.
+fn level_start(placed: WirePose) -> Isometry3<f64> {
+    let [_, _, yaw] = placed.orientation;
+    core_pose(placed.location, [0.0, 0.0, yaw])
+}

@@ -1,0 +1,317 @@
+//! What the robot does on its own: sweep, choose, drive, recover.
+
+use super::operator::Mode;
+use super::pilot::Progress;
+use super::running::{Activity, Desk, Drive, Running, Verdict};
+use crate::acquisition::{ParkState, SweepRequest};
+use crate::exploration::Decision;
+use crate::navigation::{CostMap, DriveCommand, RecoveryStep};
+use crate::robot::HeadPose;
+use crate::terrain::CellClass;
+use crate::time::{Arrival, Span};
+
+/// Goals tried at one choosing before the robot rests a while.
+const TRIES: usize = 6;
+
+/// Times a path may be planned anew before the goal is given up.
+const REPLANS: u32 = 4;
+
+/// Rest after nothing could be planned, so that what moves may move on.
+const REST: Span = Span::from_millis(2_000);
+
+/// Share of the ring about the start that must be seen as ground for the gap inside it to be assumed.
+const RING_SEEN: f64 = 0.9;
+
+impl Running {
+    /// One cycle of whatever is being done.
+    pub(super) fn activity_cycle(&mut self, desk: &mut Desk<'_>) -> Verdict {
+        match &mut self.activity {
+            Activity::Settle { until, request } => {
+                if desk.now >= *until {
+                    let request = request.clone();
+                    self.begin_sweep(request, desk);
+                } else {
+                    self.stop(desk);
+                }
+            }
+            Activity::Sweep => self.stop(desk),
+            Activity::Drive(drive) => {
+                let drive = *drive;
+                self.drive_cycle(drive, desk);
+            }
+            Activity::Recover { .. } => self.recover_cycle(desk),
+            Activity::Rest { until } => {
+                let over = desk.now >= *until;
+                self.stop(desk);
+                if over {
+                    return self.choose(desk);
+                }
+            }
+            Activity::Stand => {
+                self.stop(desk);
+                if self.mode != Mode::Teleop && self.acquisition.is_some() {
+                    return self.choose(desk);
+                }
+            }
+        }
+        Verdict::GoOn
+    }
+
+    /// Stands still, then sweeps.
+    pub(super) fn settle(&mut self, request: SweepRequest, desk: &mut Desk<'_>) {
+        self.stop(desk);
+        let until = desk.now + Span::from_seconds(desk.config.mission.settle_s);
+        self.activity = Activity::Settle { until, request };
+    }
+
+    fn begin_sweep(&mut self, request: SweepRequest, desk: &mut Desk<'_>) {
+        let Some(acquisition) = &mut self.acquisition else {
+            self.activity = Activity::Stand;
+            return;
+        };
+        self.activity = Activity::Sweep;
+        let actions = acquisition.start(request, desk.now);
+        self.head_actions(actions, desk);
+    }
+
+    /// The ground fan where the robot stands.
+    pub(super) fn fan(&self) -> Option<SweepRequest> {
+        let acquisition = self.acquisition.as_ref()?;
+        Some(SweepRequest::ground_fan(&self.rig.ground_view()?, acquisition.config()))
+    }
+
+    /// After a sweep: the next one that is due, else a choice at the next cycle.
+    pub(super) fn next_sweep_or_choose(&mut self, desk: &mut Desk<'_>) {
+        match self.queue.pop_front() {
+            Some(request) => self.settle(request, desk),
+            None if self.mode == Mode::Teleop => self.activity = Activity::Stand,
+            None => self.activity = Activity::Rest { until: desk.now },
+        }
+    }
+
+    /// Chooses where to look next and sets out, or says that nothing is left.
+    fn choose(&mut self, desk: &mut Desk<'_>) -> Verdict {
+        self.refresh_grid(desk.now);
+        let costs = CostMap::new(&self.grid, &self.shape, &desk.config.plan);
+        let pose = self.pose2();
+        for _ in 0..TRIES {
+            let decision = self.explorer.choose(
+                &self.grid,
+                &costs,
+                &self.shape,
+                &mut self.planner,
+                &pose,
+                desk.now,
+            );
+            let choice = match decision {
+                Decision::Go(choice) => choice,
+                Decision::NothingLeft { frontiers_left, retry_at } => {
+                    self.frontiers_left = frontiers_left;
+                    return self.nothing_left(retry_at, desk);
+                }
+            };
+            match self.planner.plan(&self.grid, &costs, &pose, choice.cell) {
+                Ok(path) => {
+                    desk.info(format!(
+                        "going to ({:.1}, {:.1}), {:.1} m: {}",
+                        choice.goal.x_m,
+                        choice.goal.y_m,
+                        path.length_m(),
+                        choice.reasons.join("; ")
+                    ));
+                    let path = path.with_goal_yaw(choice.goal.yaw_rad);
+                    let path_m = path.length_m();
+                    self.pilot.set_path(path);
+                    self.park(desk);
+                    self.finest_here = false;
+                    self.activity = Activity::Drive(Drive { since: desk.now, path_m, replans: 0 });
+                    return Verdict::GoOn;
+                }
+                Err(error) => self.explorer.give_up(&error.to_string(), desk.now),
+            }
+        }
+        self.activity = Activity::Rest { until: desk.now + REST };
+        Verdict::GoOn
+    }
+
+    /// Nothing is worth a sweep: first the gap about the start, then a finer look, then a second try
+    /// of what failed; then the mission is done.
+    fn nothing_left(&mut self, retry_at: Option<Arrival>, desk: &mut Desk<'_>) -> Verdict {
+        if !self.bridged && self.bridge_blind_ring(desk) {
+            self.activity = Activity::Rest { until: desk.now };
+            return Verdict::GoOn;
+        }
+        if !self.finest_here {
+            self.finest_here = true;
+            if let Some(request) = self.fan() {
+                desk.info("nothing to go to: looking once more from here");
+                let behind =
+                    self.can_look_back().then(|| request.clone().at_pan(std::f64::consts::PI));
+                self.queue.extend(behind);
+                self.settle(request, desk);
+                return Verdict::GoOn;
+            }
+        }
+        if let Some(at) = retry_at {
+            desk.info(format!("nothing to go to: waiting until {at} to try again what failed"));
+            self.activity = Activity::Rest { until: at };
+            return Verdict::GoOn;
+        }
+        desk.info(format!("nothing left to explore, {} frontiers stay", self.frontiers_left.len()));
+        Verdict::Explored
+    }
+
+    fn can_look_back(&self) -> bool {
+        let pan = self.acquisition.as_ref().and_then(|a| a.control().head().pan());
+        pan.is_some_and(|pan| pan.limits.is_none_or(|limits| limits.max_rad >= 2.6))
+    }
+
+    /// Takes the ground between the robot's own disc and the nearest ring that it can see for safe,
+    /// if that ring is ground all about: the committee does not put robots on the lip of a hole.
+    fn bridge_blind_ring(&mut self, desk: &mut Desk<'_>) -> bool {
+        self.bridged = true;
+        let Some(blind_m) = self.rig.visibility().and_then(|sight| sight.nearest_from_centre_m)
+        else {
+            return false;
+        };
+        let ring_m = blind_m + 0.25;
+        let pose = self.pose2();
+        let samples = 72;
+        let (mut seen, mut edges) = (0, 0);
+        for i in 0..samples {
+            // The half circle ahead: the sweep that was just taken looked there.
+            let angle = std::f64::consts::PI * (f64::from(i) / f64::from(samples - 1) - 0.5);
+            let at = pose.driven(0.0, angle).driven(ring_m, 0.0);
+            match self.grid.class_at(at.x_m, at.y_m) {
+                CellClass::DropOff | CellClass::Suspect => edges += 1,
+                CellClass::Unknown | CellClass::FlatFree => {}
+                _ => seen += 1,
+            }
+        }
+        let share = f64::from(seen) / f64::from(samples);
+        if edges > 0 || share < RING_SEEN {
+            desk.warn(format!(
+                "ground nearer than {ring_m:.2} m was never seen, and the ring about it is not whole \
+                 ({:.0} % ground, {edges} edges): standing still",
+                100.0 * share
+            ));
+            return false;
+        }
+        desk.warn(format!(
+            "ground nearer than {ring_m:.2} m cannot be seen from here; the ring about it is, so the \
+             gap is assumed"
+        ));
+        self.belief.assume(ring_m);
+        self.refresh_grid(desk.now);
+        true
+    }
+
+    fn park(&mut self, desk: &mut Desk<'_>) {
+        let Some(guard) = self.pilot.guard_tilt() else { return };
+        let Some(acquisition) = &mut self.acquisition else { return };
+        let pose = HeadPose::tilted(guard.tilt.radians());
+        let actions = acquisition.park(pose, desk.now);
+        self.head_actions(actions, desk);
+    }
+
+    pub(super) fn parked(&self, now: Arrival) -> ParkState {
+        self.acquisition.as_ref().map_or(ParkState::NotParked, |a| a.parked(now))
+    }
+
+    fn drive_cycle(&mut self, drive: Drive, desk: &mut Desk<'_>) {
+        if desk.now - drive.since > Span::from_seconds(desk.config.mission.goal_timeout_s) {
+            self.explorer.give_up("it took too long", desk.now);
+            desk.warn("the goal took too long; choosing another");
+            return self.look_here(desk);
+        }
+        if self.belief.leg_m() > desk.config.mission.leg_m {
+            desk.info("far from the last sweep: taking one on the way");
+            return self.look_here(desk);
+        }
+        if desk.now - self.grid_made >= Span::from_seconds(desk.config.mission.grid_period_s) {
+            self.refresh_grid(desk.now);
+        }
+        let parked = self.parked(desk.now);
+        if parked == ParkState::NotParked {
+            self.park(desk);
+        }
+        let pose = self.pose2();
+        let (command, progress) = self.pilot.follow(&pose, &self.grid, parked, desk.now);
+        match progress {
+            Progress::Going => self.drive(command, desk),
+            Progress::Reached => {
+                self.explorer.reached();
+                self.give_ups = 0;
+                self.look_here(desk);
+            }
+            Progress::Surprised(verdict) => {
+                desk.info(format!("guard line: {verdict:?}; looking again"));
+                self.explorer.give_up("the guard line saw what the map does not hold", desk.now);
+                self.look_here(desk);
+            }
+            Progress::Blocked(reason) => {
+                self.stop(desk);
+                self.replan(drive, &reason.to_string(), desk);
+            }
+        }
+    }
+
+    /// Stops and sweeps where the robot stands.
+    fn look_here(&mut self, desk: &mut Desk<'_>) {
+        match self.fan() {
+            Some(request) => self.settle(request, desk),
+            None => {
+                self.stop(desk);
+                self.activity = Activity::Rest { until: desk.now + REST };
+            }
+        }
+    }
+
+    /// The path is blocked: another to the same goal, or another goal.
+    fn replan(&mut self, drive: Drive, reason: &str, desk: &mut Desk<'_>) {
+        self.refresh_grid(desk.now);
+        let costs = CostMap::new(&self.grid, &self.shape, &desk.config.plan);
+        let goal = self.explorer.current().map(|choice| (choice.goal, choice.cell));
+        let path = goal.filter(|_| drive.replans < REPLANS).and_then(|(goal, cell)| {
+            let path = self.planner.plan(&self.grid, &costs, &self.pose2(), cell).ok()?;
+            Some(path.with_goal_yaw(goal.yaw_rad))
+        });
+        if let Some(path) = path {
+            self.pilot.set_path(path);
+            self.activity = Activity::Drive(Drive { replans: drive.replans + 1, ..drive });
+            return;
+        }
+        desk.info(format!("goal given up: {reason}"));
+        self.explorer.give_up(reason, desk.now);
+        self.give_ups += 1;
+        // Having moved, a fresh look is worth its time; else another goal is.
+        if self.belief.leg_m() > 0.5 || self.give_ups >= 3 {
+            self.give_ups = 0;
+            self.look_here(desk);
+        } else {
+            self.activity = Activity::Rest { until: desk.now };
+        }
+    }
+
+    fn recover_cycle(&mut self, desk: &mut Desk<'_>) {
+        let pose = self.pose2();
+        if desk.now - self.grid_made >= Span::from_seconds(desk.config.mission.grid_period_s) {
+            self.refresh_grid(desk.now);
+        }
+        let Activity::Recover { recovery, gave_up } = &mut self.activity else { return };
+        match self.pilot.recovery_step(recovery, &pose, &self.grid, desk.now) {
+            RecoveryStep::Try(_, command) => self.drive(command, desk),
+            RecoveryStep::Recovered => {
+                desk.info("free again");
+                self.drive(DriveCommand::STOP, desk);
+                self.look_here(desk);
+            }
+            RecoveryStep::GaveUp => {
+                *gave_up += 1;
+                desk.warn("could not get free; standing still before the next try");
+                self.drive(DriveCommand::STOP, desk);
+                self.activity = Activity::Rest { until: desk.now + Span::from_millis(10_000) };
+            }
+        }
+    }
+}

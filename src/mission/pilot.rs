@@ -1,0 +1,289 @@
+//! Moving the robot: the path follower under the watch of the guard line, and the way out of
+//! trouble. Every speed that leaves here has passed both.
+
+use super::config::AgentConfig;
+use crate::acquisition::{GuardTilt, ParkState, guard_tilt};
+use crate::navigation::{
+    Blocked, DriveCommand, FollowStatus, Follower, Guard, GuardVerdict, Motion, Path, Pose2,
+    Recovery, RecoveryStep, StuckDetector, Trail, Trouble,
+};
+use crate::robot::Rig;
+use crate::scan::LaserLine;
+use crate::terrain::{CellClass, Grid, RobotShape};
+use crate::time::{Arrival, Span};
+use nalgebra::{Isometry3, Point2, Point3};
+use serde::{Deserialize, Serialize};
+
+/// Lines in a row that must contradict the map before the robot turns back: one may be noise.
+const CONVINCING_LINES: u32 = 2;
+
+/// A place within this distance of something known counts as known.
+const KNOWN_WITHIN_M: f64 = 0.25;
+
+/// What a cycle of following came to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Progress {
+    /// On the way.
+    Going,
+    /// At the goal.
+    Reached,
+    /// The path is no longer good: plan again.
+    Blocked(Blocked),
+    /// The guard line saw what the map does not hold: look again.
+    Surprised(GuardVerdict),
+}
+
+/// Drives paths.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Pilot {
+    shape: RobotShape,
+    follower: Follower,
+    guard: Guard,
+    guard_tilt: Option<GuardTilt>,
+    watch: Watch,
+    trail: Trail,
+    stuck: StuckDetector,
+    slow_mps: f64,
+    guard_age: Span,
+}
+
+/// What the guard line last said.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Watch {
+    /// When the way was last seen clear.
+    clear: Option<Arrival>,
+    /// When any verdict last came.
+    heard: Option<Arrival>,
+    /// Contradictions in a row, and the last of them.
+    surprises: u32,
+    surprise: Option<GuardVerdict>,
+}
+
+impl Pilot {
+    /// A pilot for a rig of this shape.
+    pub fn new(config: &AgentConfig, rig: &Rig, shape: &RobotShape) -> Self {
+        let edge_margin_m = config.belief.terrain.edge_margin_m;
+        let mut follow = config.follow.clone();
+        // A robot that cannot turn its wheels faster is not asked to.
+        follow.full_mps = follow.full_mps.min(0.95 * rig.drive.max_linear_mps());
+        follow.slow_mps = follow.slow_mps.min(follow.full_mps);
+        follow.turn_rps = follow.turn_rps.min(0.95 * rig.drive.max_angular_rps());
+        let guard_tilt = rig
+            .ground_view()
+            .and_then(|view| guard_tilt(follow.full_mps, &view, &config.acquisition.guard));
+        if let Some(tilt) = guard_tilt {
+            follow.full_mps = follow.full_mps.min(tilt.max_speed_mps);
+        }
+        Self {
+            guard: Guard::new(config.guard.clone(), shape),
+            guard_tilt,
+            watch: Watch::default(),
+            trail: Trail::default(),
+            stuck: StuckDetector::new(config.stuck.clone()),
+            slow_mps: follow.slow_mps,
+            guard_age: Span::from_seconds(config.mission.guard_age_s),
+            follower: Follower::new(follow, shape, edge_margin_m),
+            shape: shape.clone(),
+        }
+    }
+
+    /// Where the tilt is parked while driving; `None` for a laser that cannot guard.
+    pub fn guard_tilt(&self) -> Option<GuardTilt> {
+        self.guard_tilt
+    }
+
+    /// Takes a path to follow.
+    pub fn set_path(&mut self, path: Path) {
+        self.follower.set_path(path);
+        self.stuck.reset();
+        self.watch = Watch::default();
+    }
+
+    /// Forgets the way back: after a correction that moved the robot farther than a crumb, its
+    /// places are no longer where it went.
+    pub fn forget_trail(&mut self) {
+        self.trail.clear();
+    }
+
+    /// Judges a line taken with the head parked.
+    pub fn watch(
+        &mut self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+        world_from_robot: &Isometry3<f64>,
+        grid: &Grid,
+        now: Arrival,
+    ) {
+        let verdict = self.guard.judge(line, robot_from_sensor, Some((world_from_robot, grid)));
+        self.watch.heard = Some(now);
+        if verdict.is_clear() {
+            self.watch = Watch { clear: Some(now), heard: Some(now), ..Watch::default() };
+        } else if self.is_surprise(&verdict, world_from_robot, grid) {
+            self.watch.surprises += 1;
+            self.watch.surprise = Some(verdict);
+        } else {
+            self.watch.surprises = 0;
+        }
+    }
+
+    /// Whether a verdict contradicts what the grid holds on the robot's own way. What the grid knows
+    /// is the follower's business, and what the path does not pass does not matter.
+    fn is_surprise(
+        &self,
+        verdict: &GuardVerdict,
+        world_from_robot: &Isometry3<f64>,
+        grid: &Grid,
+    ) -> bool {
+        let (ahead_m, left_m) = match *verdict {
+            GuardVerdict::Obstacle { ahead_m, left_m, .. }
+            | GuardVerdict::DropOff { ahead_m, left_m, .. } => (ahead_m, left_m),
+            GuardVerdict::Clear { .. } | GuardVerdict::Blind { .. } => return false,
+        };
+        let place = (world_from_robot * Point3::new(ahead_m, left_m, 0.0)).xy();
+        let corridor_m = 0.5 * self.shape.width_m + 0.15;
+        let path = self.follower.path();
+        let near_path =
+            path.nearest(&place, 0.0, path.length_m()).is_some_and(|(_, away)| away <= corridor_m);
+        near_path && !is_known_barrier(grid, &place)
+    }
+
+    /// What a line said lately that should end any forward motion at once.
+    pub fn surprise(&self) -> Option<GuardVerdict> {
+        self.watch.surprise.filter(|_| self.watch.surprises >= CONVINCING_LINES)
+    }
+
+    /// The greatest forward speed that the guard line allows now.
+    fn allowed_mps(&self, parked: ParkState, now: Arrival) -> f64 {
+        let recent = |at: Option<Arrival>| at.is_some_and(|at| now - at <= self.guard_age);
+        match parked {
+            // A head that cannot be parked guards nothing: creep, over ground that was seen.
+            ParkState::Elsewhere { .. } => self.slow_mps,
+            _ if self.guard_tilt.is_none() => self.slow_mps,
+            ParkState::NotParked | ParkState::Moving => 0.0,
+            ParkState::Computed { .. } | ParkState::Verified { .. } => {
+                if self.watch.surprises > 0 || !recent(self.watch.heard) {
+                    0.0
+                } else if recent(self.watch.clear) {
+                    f64::INFINITY
+                } else {
+                    self.slow_mps
+                }
+            }
+        }
+    }
+
+    /// One cycle of following the path.
+    pub fn follow(
+        &mut self,
+        pose: &Pose2,
+        grid: &Grid,
+        parked: ParkState,
+        now: Arrival,
+    ) -> (DriveCommand, Progress) {
+        self.trail.note(pose);
+        if let Some(verdict) = self.surprise() {
+            return (DriveCommand::STOP, Progress::Surprised(verdict));
+        }
+        let (command, status) = self.follower.step(pose, grid);
+        let allowed_mps = self.allowed_mps(parked, now);
+        let command = if command.linear_mps > allowed_mps {
+            if allowed_mps == 0.0 {
+                DriveCommand::STOP
+            } else {
+                command.limited(allowed_mps, f64::INFINITY)
+            }
+        } else {
+            command
+        };
+        match status {
+            FollowStatus::Following { .. } => (command, Progress::Going),
+            FollowStatus::Reached => (DriveCommand::STOP, Progress::Reached),
+            FollowStatus::Blocked(reason) => (DriveCommand::STOP, Progress::Blocked(reason)),
+        }
+    }
+
+    /// What is left of an operator's command after the guard line and the grid: known obstacles and
+    /// edges stop it, unknown ground does not, for the operator sees what the grid does not hold.
+    pub fn filter(
+        &mut self,
+        wanted: DriveCommand,
+        pose: &Pose2,
+        grid: &Grid,
+        parked: ParkState,
+        now: Arrival,
+    ) -> DriveCommand {
+        self.trail.note(pose);
+        let config = self.follower.config();
+        let wanted = wanted.limited(config.full_mps, config.turn_rps);
+        if wanted.linear_mps <= 0.0 {
+            return wanted.limited(self.slow_mps, config.turn_rps);
+        }
+        let brake_m = 0.5 * self.shape.length_m
+            + config.stop_margin_m
+            + crate::navigation::speed::stopping_distance_m(
+                wanted.linear_mps,
+                config.latency_s,
+                config.deceleration_mps2,
+            );
+        let steps = (brake_m / grid.cell_m().max(0.01)).ceil() as u32;
+        let blocked = (1..=steps).any(|step| {
+            let ahead = pose.driven(brake_m * f64::from(step) / f64::from(steps), 0.0);
+            is_barrier(grid.class_at(ahead.x_m, ahead.y_m))
+        });
+        let allowed_mps =
+            if self.surprise().is_some() || blocked { 0.0 } else { self.allowed_mps(parked, now) };
+        if wanted.linear_mps <= allowed_mps {
+            wanted
+        } else {
+            DriveCommand { linear_mps: allowed_mps, ..wanted }
+        }
+    }
+
+    /// Compares what was commanded with what came of it.
+    pub fn check(&mut self, motion: Motion) -> Option<Trouble> {
+        self.stuck.note(motion)
+    }
+
+    /// Begins to get out of trouble.
+    pub fn recover(
+        &mut self,
+        config: &AgentConfig,
+        trouble: &Trouble,
+        pose: &Pose2,
+        now: Arrival,
+    ) -> Recovery {
+        self.stuck.reset();
+        let edge_margin_m = config.belief.terrain.edge_margin_m;
+        Recovery::new(config.recovery.clone(), &self.shape, edge_margin_m, trouble, now, pose)
+    }
+
+    /// One cycle of getting out of trouble.
+    pub fn recovery_step(
+        &self,
+        recovery: &mut Recovery,
+        pose: &Pose2,
+        grid: &Grid,
+        now: Arrival,
+    ) -> RecoveryStep {
+        recovery.step(now, pose, &self.trail, grid)
+    }
+}
+
+fn is_barrier(class: CellClass) -> bool {
+    matches!(
+        class,
+        CellClass::Occupied | CellClass::TooSteep | CellClass::DropOff | CellClass::Suspect
+    )
+}
+
+/// Whether the grid holds a barrier of any kind close to a place.
+fn is_known_barrier(grid: &Grid, place: &Point2<f64>) -> bool {
+    let reach = (KNOWN_WITHIN_M / grid.cell_m().max(0.01)).ceil() as i32;
+    let centre = grid.cell_of(place.x, place.y);
+    (-reach..=reach).any(|dy| {
+        (-reach..=reach).any(|dx| {
+            let cell = crate::terrain::CellIndex { x: centre.x + dx, y: centre.y + dy };
+            (grid.centre(cell) - place).norm() <= KNOWN_WITHIN_M && is_barrier(grid.get(cell).class)
+        })
+    })
+}
