@@ -3,4 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking; helpers count as tests too")]
 
 mod layering;
+mod mapping;
 mod protocol;
+mod terrain;
+mod truth;

@@ -1,5 +1,8 @@
 //! Arguments, wiring and exit codes: one file per verb.
 
+mod paper;
+mod segment;
+
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
@@ -12,9 +15,21 @@ pub struct Arguments {
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {}
+enum Verb {
+    /// One organised scan through segmentation and fitting.
+    Segment(segment::SegmentArguments),
+    /// Regenerates the paper's tables and figures from this code.
+    Paper(paper::PaperArguments),
+}
 
 /// Runs the verb that the arguments name and turns its outcome into an exit code.
 pub fn run(arguments: Arguments) -> ExitCode {
-    match arguments.verb {}
+    let outcome = match arguments.verb {
+        Verb::Segment(arguments) => segment::run(&arguments),
+        Verb::Paper(arguments) => paper::run(arguments),
+    };
+    outcome.unwrap_or_else(|error| {
+        eprintln!("error: {error:#}");
+        ExitCode::FAILURE
+    })
 }

@@ -4,11 +4,13 @@
 //! `target_from_source`, so that inner names meet in a product.
 
 mod angle;
+mod euler;
 mod hull;
 pub mod lie;
 mod plane;
 
 pub use angle::{AngleSpan, wrap_pi};
+pub use euler::EulerPose;
 pub use hull::{
     clip_convex, contains_point, convex_gap_m, convex_hull, polygon_area, polygon_centroid,
 };

@@ -1,1 +1,218 @@
 //! Localisation and the map of planar landmarks.
+//!
+//! [`Mapper`] is the door: odometry increments go in by [`predict`](Mapper::predict), the planes of
+//! a scan by [`observe`](Mapper::observe), and pose, covariance and map come out. The paper's filter
+//! is [`mip`], written to be read beside its section IV; [`full`] is the mode that keeps the map's own
+//! uncertainty and closes loops.
+//!
+//! The world frame is the one in which the first pose is given. Pose errors and covariances are
+//! perturbations `[δt; δr]` in the world frame: the true pose has translation `t + δt` and rotation
+//! `exp(δr) R`.
+
+mod association;
+mod attitude;
+mod belief;
+mod estimate;
+pub mod full;
+pub mod graph;
+mod index;
+pub mod innovation;
+mod landmark;
+mod mask;
+pub mod mip;
+mod observation;
+mod odometry;
+pub mod perturbation;
+mod report;
+mod scan_errors;
+
+pub use association::AssociationConfig;
+pub use full::{Full, FullConfig};
+pub use graph::GraphConfig;
+pub use landmark::{Landmark, LandmarkId};
+pub use mask::{MASK_CELL_M, PlaneMask};
+pub use mip::{Mip, MipConfig};
+pub use observation::{Observation, observations};
+pub use odometry::{Motion, OdometryNoise, tilted_increment};
+pub use report::{
+    Addition, Association, LEVER_M, MovedKeyframe, Refusal, RefusalReason, UpdateReport,
+    WeakDirection, weak_directions,
+};
+pub use scan_errors::{ScanErrors, ScanObservations, common_error_jacobian};
+
+use nalgebra::{Isometry3, Matrix3, Matrix6};
+use serde::{Deserialize, Serialize};
+
+/// Which estimator runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// The paper's Maximum Incremental Probability filter.
+    Mip,
+    /// Landmarks with covariance, loops, several explanations.
+    #[default]
+    Full,
+}
+
+/// Settings of localisation and mapping.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct MapperConfig {
+    /// Which estimator runs.
+    pub mode: Mode,
+    /// How wrong wheel odometry is.
+    pub odometry: OdometryNoise,
+    /// The paper's mode.
+    pub mip: MipConfig,
+    /// The full mode.
+    pub full: FullConfig,
+}
+
+/// Pose and map, fed with odometry and scans.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Mapper {
+    config: MapperConfig,
+    /// Motion since the last scan.
+    motion: Motion,
+    /// Roll, pitch and their standard deviation as last measured.
+    attitude: Option<(f64, f64, f64)>,
+    engine: Engine,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+enum Engine {
+    Mip { filter: Mip, keyframes: Vec<Isometry3<f64>> },
+    Full(Box<Full>),
+}
+
+impl Mapper {
+    /// A mapper with an empty map at a pose that is taken as exact: it defines the world frame.
+    pub fn new(config: MapperConfig, world_from_robot: Isometry3<f64>) -> Self {
+        Self::starting(config, world_from_robot, &Matrix6::zeros())
+    }
+
+    /// A mapper with an empty map at a pose with a covariance, as a perturbation `[δt; δr]`: for a
+    /// start on a slope, say, whose attitude an inertial unit has given.
+    pub fn starting(
+        config: MapperConfig,
+        world_from_robot: Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+    ) -> Self {
+        let engine = match config.mode {
+            Mode::Mip => Engine::Mip {
+                filter: Mip::new(config.mip.clone(), world_from_robot, *covariance),
+                keyframes: Vec::new(),
+            },
+            Mode::Full => {
+                Engine::Full(Box::new(Full::new(config.full.clone(), world_from_robot, covariance)))
+            }
+        };
+        Self { config, motion: Motion::default(), attitude: None, engine }
+    }
+
+    /// Settings that the mapper runs with.
+    pub fn config(&self) -> &MapperConfig {
+        &self.config
+    }
+
+    /// Takes in one odometry increment: the robot's pose now in its own frame before.
+    pub fn predict(&mut self, before_from_after: &Isometry3<f64>) {
+        self.motion.append(before_from_after);
+    }
+
+    /// Takes in the attitude that an inertial unit measures now, roll and pitch of `Rz Ry Rx` with
+    /// z up, and its standard deviation. The next [`observe`](Self::observe) uses the last one given.
+    pub fn attitude(&mut self, roll_rad: f64, pitch_rad: f64, sigma_rad: f64) {
+        self.attitude = Some((roll_rad, pitch_rad, sigma_rad));
+    }
+
+    /// Takes in the planes of one scan, made while the robot stood where odometry has it now.
+    pub fn observe(&mut self, scan: &ScanObservations) -> UpdateReport {
+        let motion = std::mem::take(&mut self.motion);
+        let attitude = self.attitude.take();
+        let covariance = if motion.is_still() && self.is_empty() {
+            // The start is where it was said to be.
+            Matrix6::zeros()
+        } else {
+            self.config.odometry.covariance(&motion)
+        };
+        match &mut self.engine {
+            Engine::Mip { filter, keyframes } => {
+                filter.predict(&motion.before_from_after, &covariance);
+                if let Some((roll_rad, pitch_rad, sigma_rad)) = attitude {
+                    filter.correct_attitude(roll_rad, pitch_rad, sigma_rad);
+                }
+                let report = filter.update(&scan.observations);
+                keyframes.push(report.world_from_robot);
+                report
+            }
+            Engine::Full(full) => {
+                full.observe(&motion.before_from_after, &covariance, attitude, scan)
+            }
+        }
+    }
+
+    /// Whether nothing was observed yet.
+    fn is_empty(&self) -> bool {
+        match &self.engine {
+            Engine::Mip { keyframes, .. } => keyframes.is_empty(),
+            Engine::Full(full) => full.is_empty(),
+        }
+    }
+
+    /// Pose and covariance at the last scan.
+    fn last(&self) -> (Isometry3<f64>, Matrix6<f64>) {
+        match &self.engine {
+            Engine::Mip { filter, .. } => (*filter.world_from_robot(), *filter.covariance()),
+            Engine::Full(full) => (full.world_from_robot(), full.covariance()),
+        }
+    }
+
+    /// The estimated pose now.
+    pub fn world_from_robot(&self) -> Isometry3<f64> {
+        let last = match &self.engine {
+            Engine::Mip { filter, .. } => *filter.world_from_robot(),
+            Engine::Full(full) => full.world_from_robot(),
+        };
+        last * self.motion.before_from_after
+    }
+
+    /// Covariance of the pose now, as a perturbation `[δt; δr]` in the world frame.
+    pub fn covariance(&self) -> Matrix6<f64> {
+        let (pose, covariance) = self.last();
+        if self.motion.is_still() {
+            return covariance;
+        }
+        odometry::predicted_covariance(
+            &pose,
+            &covariance,
+            &self.motion.before_from_after,
+            &self.config.odometry.covariance(&self.motion),
+        )
+    }
+
+    /// The landmarks of the map, by identity.
+    pub fn landmarks(&self) -> &[Landmark] {
+        match &self.engine {
+            Engine::Mip { filter, .. } => filter.landmarks(),
+            Engine::Full(full) => full.landmarks(),
+        }
+    }
+
+    /// Covariance of a landmark now (offset, tilts about y and x); the one in the landmark itself is
+    /// that of when it was last seen. `None` for an unknown landmark and in the paper's mode.
+    pub fn landmark_covariance(&self, id: LandmarkId) -> Option<Matrix3<f64>> {
+        match &self.engine {
+            Engine::Mip { .. } => None,
+            Engine::Full(full) => full.landmark_covariance(id),
+        }
+    }
+
+    /// The estimated pose at each scan so far, as corrected since.
+    pub fn keyframes(&self) -> Vec<Isometry3<f64>> {
+        match &self.engine {
+            Engine::Mip { keyframes, .. } => keyframes.clone(),
+            Engine::Full(full) => full.keyframes(),
+        }
+    }
+}

@@ -20,6 +20,9 @@ pub(super) struct Field<'a> {
     value: &'a [u8],
     /// Key and value as they stand in the segment; for a keyless list all of it.
     pub(super) body: &'a [u8],
+    /// Whether the segment had its closing brace. One that had not may be cut in the middle of a
+    /// number: nobody finds it, and it is kept as an extra segment.
+    closed: bool,
 }
 
 /// The fields of a line, or of one repeated group in it, that nobody has taken yet.
@@ -43,7 +46,14 @@ impl<'a> Fields<'a> {
     }
 
     fn position(&self, key: &str) -> Option<usize> {
-        self.fields.iter().position(|field| field.key.eq_ignore_ascii_case(key.as_bytes()))
+        let key = key.as_bytes();
+        self.fields.iter().position(|field| field.closed && field.key.eq_ignore_ascii_case(key))
+    }
+
+    /// Makes segments without a closing brace usable, for the one line that servers write so.
+    pub(super) fn trust_unclosed(&mut self) {
+        self.fields.iter_mut().for_each(|field| field.closed = true);
+        self.problems.retain(|problem| problem.kind != ProblemKind::SegmentNotClosed);
     }
 
     pub(super) fn has(&self, key: &str) -> bool {
@@ -62,12 +72,15 @@ impl<'a> Fields<'a> {
 
     /// Takes the first field that is left, whatever its key.
     pub(super) fn take_first(&mut self) -> Option<Field<'a>> {
-        (!self.fields.is_empty()).then(|| self.fields.remove(0))
+        let first = self.fields.iter().position(|field| field.closed)?;
+        Some(self.fields.remove(first))
     }
 
-    /// Takes everything that is left, in wire order.
+    /// Takes everything that is left and whole, in wire order.
     pub(super) fn take_all(&mut self) -> Vec<Field<'a>> {
-        std::mem::take(&mut self.fields)
+        let (whole, cut) = std::mem::take(&mut self.fields).into_iter().partition(|f| f.closed);
+        self.fields = cut;
+        whole
     }
 
     /// Takes every field that `wanted` accepts.
@@ -76,7 +89,7 @@ impl<'a> Fields<'a> {
         mut wanted: impl FnMut(&'a [u8], &'a [u8]) -> Option<T>,
     ) -> Vec<T> {
         let mut taken = Vec::new();
-        self.fields.retain(|field| match wanted(field.key, field.value) {
+        self.fields.retain(|field| match wanted(field.key, field.value).filter(|_| field.closed) {
             Some(value) => {
                 taken.push(value);
                 false
@@ -169,8 +182,7 @@ impl<'a> Fields<'a> {
     /// A list of any length, separated by commas.
     pub(super) fn list(&mut self, key: &str) -> Option<Vec<f64>> {
         self.take_as(key, |value| {
-            // Six octets hold the shortest laser range with its comma, so one allocation is enough.
-            let mut values = Vec::with_capacity(value.len() / 6 + 1);
+            let mut values = Vec::with_capacity(memchr::memchr_iter(b',', value).count() + 1);
             let whole = number::list(value, &mut values);
             if whole { Ok(values) } else { Err(ProblemKind::NotANumber(key.to_owned())) }
         })
@@ -206,7 +218,7 @@ impl<'a> Fields<'a> {
         let Some(start) = self.position(leader) else { return Vec::new() };
         let mut groups: Vec<Fields<'a>> = Vec::new();
         for field in self.fields.drain(start..) {
-            if field.key.eq_ignore_ascii_case(leader.as_bytes()) {
+            if field.closed && field.key.eq_ignore_ascii_case(leader.as_bytes()) {
                 groups.push(Fields::default());
             }
             if let Some(group) = groups.last_mut() {
@@ -276,7 +288,7 @@ pub(super) fn flag(value: &[u8]) -> Option<bool> {
 /// `{Name two words}` is a name with a blank in it.
 fn push_segment<'a>(fields: &mut Vec<Field<'a>>, body: grammar::Body<'a>) {
     let (key, value) = text::split_word(body.text);
-    let field = Field { at: body.at, key, value, body: body.text };
+    let field = Field { at: body.at, key, value, body: body.text, closed: body.closed };
     if !key.eq_ignore_ascii_case(b"Name") {
         fields.push(field);
         return;
@@ -291,7 +303,7 @@ fn push_segment<'a>(fields: &mut Vec<Field<'a>>, body: grammar::Body<'a>) {
         let (key, after) = text::split_word(rest);
         let (value, after) = split_value(after);
         let length = value.as_ptr_range().end as usize - rest.as_ptr() as usize;
-        fields.push(Field { at: body.at, key, value, body: &rest[..length] });
+        fields.push(Field { key, value, body: &rest[..length], ..field });
         rest = after;
     }
 }
@@ -356,6 +368,15 @@ mod tests {
         let tag = |id: &str, mem: &str| (id.to_owned(), Some(mem.to_owned()));
         assert_eq!(tags, [tag("7", "a"), tag("8", "b")]);
         assert_eq!(fields.rest(), [Segment::new("A", "1"), Segment::new("Odd", "")]);
+    }
+
+    #[test]
+    fn a_value_that_may_be_cut_is_not_used_but_kept() {
+        let (_, mut fields) = Fields::of_line(b"SEN {Name S} {Range 2.1951,2.19");
+        assert_eq!(fields.list("Range"), None);
+        assert_eq!(fields.problems[0].kind, ProblemKind::SegmentNotClosed);
+        fields.take("Name");
+        assert_eq!(fields.rest(), [Segment::new("Range", "2.1951,2.19")]);
     }
 
     #[test]

@@ -20,6 +20,8 @@ pub(super) struct Body<'a> {
     /// Octets from the beginning of the line to the opening brace.
     pub at: usize,
     pub text: &'a [u8],
+    /// Whether the closing brace was there; if not, the text may have been cut anywhere.
+    pub closed: bool,
 }
 
 /// Everything up to the next brace of either kind, or to the end.
@@ -48,8 +50,9 @@ pub(super) fn split<'a>(
         let at = line.len() - rest.len();
         match opened(rest) {
             Ok((after, body)) => {
-                segment(Body { at, text: text::trim(body) });
-                if after.first() == Some(&b'}') {
+                let closed = after.first() == Some(&b'}');
+                segment(Body { at, text: text::trim(body), closed });
+                if closed {
                     rest = &after[1..];
                 } else {
                     note(problems, Problem::new(ProblemKind::SegmentNotClosed, at, &line[at..]));

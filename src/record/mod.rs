@@ -1,1 +1,112 @@
-//! Recordings: the session codec, its writer and reader.
+//! Recordings: every line both ways, every operator event, every wake-up, in the order in which the
+//! agent met them.
+//!
+//! A recording (`session.usar`) is a magic, then blocks. A block is its compressed length, its
+//! uncompressed length and a CRC-32 of the compressed bytes (three little-endian `u32`), followed by
+//! zstd-compressed entries. Blocks are only appended, and each is whole in itself: a crash loses at
+//! most the block that was being filled ([`Writer`] closes one at least every
+//! [`BLOCK_SPAN`] of session time). Nothing in it depends on the wall date, the host or a path, so
+//! the same mission gives the same bytes.
+
+mod codec;
+mod reader;
+mod writer;
+
+pub use codec::{Direction, Entry, Header, What};
+pub use reader::{ReadError, Recording, read};
+pub use writer::Writer;
+
+use crate::time::Span;
+
+/// First bytes of every recording.
+pub const MAGIC: &[u8; 8] = b"USARSES\n";
+
+/// Version of the format this code writes; readers refuse newer ones by name.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// Session time after which an open block is closed even when it is small.
+pub const BLOCK_SPAN: Span = Span::from_millis(2_000);
+
+/// Uncompressed size at which a block is closed.
+pub const BLOCK_BYTES: usize = 256 * 1024;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::Arrival;
+    use proptest::prelude::*;
+
+    fn header() -> Header {
+        Header { seed: 7, scenario: "box".into(), config: "[agent]\n".into() }
+    }
+
+    fn entry_strategy() -> impl Strategy<Value = Entry> {
+        let bytes = || prop::collection::vec(any::<u8>(), 0..200);
+        let what = prop_oneof![
+            bytes().prop_map(What::Received),
+            bytes().prop_map(What::Sent),
+            bytes().prop_map(What::Operator),
+            Just(What::Wake),
+            Just(What::Connected),
+            ".*".prop_map(What::Disconnected),
+        ];
+        (0..1_000_000_000_000_i64, what).prop_map(|(at, what)| Entry { arrival: Arrival(at), what })
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read(entries in prop::collection::vec(entry_strategy(), 0..60)) {
+            let mut writer = Writer::new(Vec::new(), &header()).unwrap();
+            for entry in &entries {
+                writer.push(entry).unwrap();
+            }
+            let bytes = writer.finish().unwrap();
+            let recording = read(&bytes).unwrap();
+            prop_assert_eq!(&recording.header, &header());
+            prop_assert_eq!(&recording.entries, &entries);
+            prop_assert!(recording.loss.is_none());
+        }
+
+        #[test]
+        fn any_cut_keeps_the_whole_blocks(cut in 0.0..1.0f64) {
+            let mut writer = Writer::new(Vec::new(), &header()).unwrap();
+            for i in 0..50_i64 {
+                let arrival = Arrival(i * BLOCK_SPAN.0 / 3);
+                writer.push(&Entry { arrival, what: What::Received(vec![i as u8; 40]) }).unwrap();
+            }
+            let bytes = writer.finish().unwrap();
+            let kept = &bytes[..(bytes.len() as f64 * cut) as usize];
+            match read(kept) {
+                Ok(recording) => {
+                    prop_assert!(recording.entries.len() <= 50);
+                    for (i, entry) in recording.entries.iter().enumerate() {
+                        prop_assert_eq!(entry.arrival.0, i as i64 * BLOCK_SPAN.0 / 3);
+                    }
+                }
+                Err(error) => prop_assert!(matches!(error, ReadError::NoHeader | ReadError::NotARecording), "{error}"),
+            }
+        }
+
+        #[test]
+        fn no_bytes_panic_the_reader(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+            let mut with_magic = MAGIC.to_vec();
+            with_magic.extend_from_slice(&bytes);
+            let _ = read(&with_magic);
+            let _ = read(&bytes);
+        }
+    }
+
+    #[test]
+    fn a_flipped_bit_is_found_by_the_checksum() {
+        let mut writer = Writer::new(Vec::new(), &header()).unwrap();
+        writer.push(&Entry { arrival: Arrival(1), what: What::Wake }).unwrap();
+        writer.flush_block().unwrap();
+        writer.push(&Entry { arrival: Arrival(2), what: What::Wake }).unwrap();
+        let mut bytes = writer.finish().unwrap();
+        let last = bytes.len() - 1;
+        bytes[last] ^= 1;
+        let recording = read(&bytes).unwrap();
+        assert_eq!(recording.entries.len(), 1);
+        assert!(recording.loss.unwrap().contains("checksum"));
+    }
+}

@@ -84,7 +84,8 @@ pub struct Cylinder {
     /// Extent of the points along the axis, in metres.
     pub length_m: f64,
     /// Covariance of the offset across the axis (two directions, m²), its tilt (two, rad²) and the
-    /// radius (m²).
+    /// radius (m²). The first direction is `axis × e`, with `e` the coordinate axis that `axis` has
+    /// least of; the second is `axis ×` the first; a positive tilt turns the axis towards them.
     pub covariance: Matrix5<f64>,
 }
 

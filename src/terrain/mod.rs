@@ -1,1 +1,390 @@
-//! What can be driven on: elevation, obstacles and drop-offs, projected into the 2D grid.
+//! The layered map of what can be driven on: ground, obstacles, overhangs and drop-offs.
+//!
+//! [`Terrain`] takes in range images ([`Terrain::integrate`]) and, for robots with a fixed laser,
+//! single lines ([`Terrain::integrate_line`]). Per cell it keeps a short list of surfaces (height,
+//! variance, how seen), the heights at which something was hit or looked through, and signs of
+//! missing ground. [`Terrain::project`] reads it from where the robot stands: the level it is on,
+//! as the 2D [`Grid`] that navigation and exploration work with.
+//!
+//! What was not seen is unknown, and unknown ground is never driven on.
+
+mod column;
+mod config;
+mod distance;
+mod fan;
+mod fill;
+mod grid;
+mod ground;
+mod lattice;
+mod project;
+mod rays;
+mod surface;
+
+pub use config::{RobotShape, TerrainConfig};
+pub use grid::{CellClass, Grid, GridCell, Trinary};
+pub use lattice::CellIndex;
+pub use surface::{Seen, Surface, Void};
+
+use crate::scan::{LaserLine, RangeImage, Return};
+use fan::{Fan, FloorPlane, Sample};
+use lattice::Lattice;
+use nalgebra::{Isometry3, Point3, Vector3};
+use rays::RayWindow;
+use serde::{Deserialize, Serialize};
+use surface::Observation;
+
+/// Flat log-odds, in tenths, that a laser line adds where it ends and takes where it passes.
+const FLAT_HIT: i8 = 9;
+const FLAT_PASS: i8 = -4;
+
+/// The terrain as far as it was seen. See the module for what it holds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Terrain {
+    config: TerrainConfig,
+    shape: RobotShape,
+    lattice: Lattice,
+    /// Number of images and lines taken in.
+    scans: u32,
+}
+
+/// What one image told.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Integrated {
+    /// Beams that returned a point.
+    pub points: usize,
+    /// Points that were read as ground.
+    pub ground_points: usize,
+    /// Columns in which ground that was due did not show.
+    pub missing_ground: usize,
+}
+
+impl Terrain {
+    /// An empty terrain for a robot of the given shape.
+    pub fn new(config: TerrainConfig, shape: RobotShape) -> Self {
+        Self { config, shape, lattice: Lattice::default(), scans: 0 }
+    }
+
+    /// The configuration in force.
+    pub fn config(&self) -> &TerrainConfig {
+        &self.config
+    }
+
+    /// The robot this terrain is judged for.
+    pub fn shape(&self) -> &RobotShape {
+        &self.shape
+    }
+
+    /// Number of images and lines taken in so far.
+    pub fn scans(&self) -> u32 {
+        self.scans
+    }
+
+    /// Takes the disc of `radius_m` about the robot for ground, at the height of its wheels.
+    ///
+    /// For the place where the robot starts: it stands there, so there is ground, though its laser
+    /// never sees it. The ground is marked [`Seen::Assumed`] until it is measured, and does not
+    /// count as explored.
+    pub fn assume(&mut self, world_from_robot: &Isometry3<f64>, radius_m: f64) {
+        let floor = FloorPlane::under(world_from_robot, &self.shape);
+        self.assume_where(&floor, radius_m, |_, _| true);
+    }
+
+    /// Takes the hull's own footprint for ground: the robot stands on it.
+    ///
+    /// Call it along the way; it keeps the robot's own track drivable where the laser could not look.
+    pub fn assume_footprint(&mut self, world_from_robot: &Isometry3<f64>) {
+        let floor = FloorPlane::under(world_from_robot, &self.shape);
+        let robot_from_world = world_from_robot.inverse();
+        let (half_length_m, half_width_m) = (0.5 * self.shape.length_m, 0.5 * self.shape.width_m);
+        let radius_m = self.shape.circumscribed_radius_m();
+        self.assume_where(&floor, radius_m, |x, y| {
+            let p = robot_from_world * Point3::new(x, y, floor.z_at(x, y));
+            p.x.abs() <= half_length_m && p.y.abs() <= half_width_m
+        });
+    }
+
+    fn assume_where(
+        &mut self,
+        floor: &FloorPlane,
+        radius_m: f64,
+        within: impl Fn(f64, f64) -> bool,
+    ) {
+        let cell_m = self.config.cell_m;
+        let low = CellIndex::at(floor.point.x - radius_m, floor.point.y - radius_m, cell_m);
+        let high = CellIndex::at(floor.point.x + radius_m, floor.point.y + radius_m, cell_m);
+        for y in low.y..=high.y {
+            for x in low.x..=high.x {
+                let cell = CellIndex { x, y };
+                let [cx, cy] = cell.centre_m(cell_m);
+                let away_m = (cx - floor.point.x).hypot(cy - floor.point.y);
+                if away_m > radius_m || !within(cx, cy) {
+                    continue;
+                }
+                self.lattice.ground_mut(cell).observe(&Observation {
+                    z_m: floor.z_at(cx, cy),
+                    sigma_m: 0.05,
+                    distance_m: away_m,
+                    seen: Seen::Assumed,
+                    scan: self.scans,
+                });
+            }
+        }
+    }
+
+    /// Takes in a range image that was taken with the robot at `world_from_robot`.
+    ///
+    /// Costs one pass over the points and one over the cells that their rays cross; the cost grows
+    /// with the space that is seen, not with the map.
+    pub fn integrate(
+        &mut self,
+        image: &RangeImage,
+        world_from_robot: &Isometry3<f64>,
+    ) -> Integrated {
+        self.scans += 1;
+        let floor = FloorPlane::under(world_from_robot, &self.shape);
+        let fans = fan::fans(image, world_from_robot, &self.shape);
+        let mut window = self.window(&fans, &floor);
+        let mut told = Integrated::default();
+        for fan in &fans {
+            let labels = ground::label(fan, &floor, &self.config, &self.shape, |p, sigma_m| {
+                self.ground_is_known(p, sigma_m)
+            });
+            self.observe_ground(fan, &labels, &mut told);
+            self.trace(fan, &labels, &floor, &mut window);
+            told.missing_ground += labels.missing.len();
+            for missing in &labels.missing {
+                self.mark_missing(missing);
+            }
+        }
+        window.apply(&mut self.lattice, self.scans);
+        told
+    }
+
+    /// Whether ground at nearly this height is known in the cell of `p` or within two cells of it.
+    fn ground_is_known(&self, p: &Point3<f64>, sigma_m: f64) -> bool {
+        let cell = CellIndex::at(p.x, p.y, self.config.cell_m);
+        let near = [(0, 0), (-2, 0), (2, 0), (0, -2), (0, 2)];
+        near.into_iter().any(|(dx, dy)| {
+            let cell = CellIndex { x: cell.x + dx, y: cell.y + dy };
+            self.lattice.ground(cell).is_some_and(|ground| {
+                ground
+                    .nearest(p.z, 0.5 * self.shape.max_step_m + 2.0 * sigma_m)
+                    .is_some_and(|surface| surface.seen != Seen::Assumed)
+            })
+        })
+    }
+
+    fn window(&self, fans: &[Fan], floor: &FloorPlane) -> RayWindow {
+        let cell_m = self.config.cell_m;
+        let centre = CellIndex::at(floor.point.x, floor.point.y, cell_m);
+        let reach = (self.config.carve_range_m / cell_m).ceil() as i32;
+        let (mut low, mut high) = (centre, centre);
+        let mut include = |p: &Point3<f64>| {
+            let cell = CellIndex::at(p.x, p.y, cell_m);
+            (low.x, low.y) = (low.x.min(cell.x), low.y.min(cell.y));
+            (high.x, high.y) = (high.x.max(cell.x), high.y.max(cell.y));
+        };
+        for fan in fans {
+            for (index, sample) in fan.samples.iter().enumerate() {
+                match sample {
+                    Sample::Hit { p, .. } => include(p),
+                    Sample::Nothing => {
+                        let row = &fan.rows[index / fan.columns.len()];
+                        let ray = row.direction(fan.columns[index % fan.columns.len()]);
+                        include(&(row.origin + ray * self.config.carve_range_m));
+                    }
+                    Sample::Missing => {}
+                }
+            }
+        }
+        // A point far away must not make the window larger than what rays may clear or hit usefully.
+        let far = reach * 2;
+        let low = CellIndex { x: low.x.max(centre.x - far), y: low.y.max(centre.y - far) };
+        let high = CellIndex { x: high.x.min(centre.x + far), y: high.y.min(centre.y + far) };
+        RayWindow::new(low, high, cell_m, floor.point.z)
+    }
+
+    fn observe_ground(&mut self, fan: &Fan, labels: &ground::Labels, told: &mut Integrated) {
+        let (cell_m, scan) = (self.config.cell_m, self.scans);
+        for (sample, ground) in fan.samples.iter().zip(&labels.ground) {
+            let Sample::Hit { p, away_m } = sample else { continue };
+            told.points += 1;
+            if !ground {
+                continue;
+            }
+            told.ground_points += 1;
+            self.lattice.ground_mut(CellIndex::at(p.x, p.y, cell_m)).observe(&Observation {
+                z_m: p.z,
+                sigma_m: self.config.height_sigma_at(*away_m),
+                distance_m: *away_m,
+                seen: Seen::Measured,
+                scan,
+            });
+        }
+        let lattice = &mut self.lattice;
+        let config = &self.config;
+        fill::fill(fan, labels, config, &self.shape, |cell, z_m, away_m| {
+            lattice.ground_mut(cell).observe(&Observation {
+                z_m,
+                sigma_m: 1.5 * config.height_sigma_at(away_m),
+                distance_m: away_m,
+                seen: Seen::Interpolated,
+                scan,
+            });
+        });
+    }
+
+    /// Notes hits and passes of a fan's rays.
+    fn trace(
+        &self,
+        fan: &Fan,
+        labels: &ground::Labels,
+        floor: &FloorPlane,
+        window: &mut RayWindow,
+    ) {
+        let columns = fan.columns.len();
+        // Nothing above the robot's highest part concerns it; one bin more for the ceiling's edge.
+        let ceiling_m = self.shape.height_m + self.shape.clearance_m + 0.3;
+        for (at, sample) in fan.samples.iter().enumerate() {
+            let row = &fan.rows[at / columns];
+            let ray = row.direction(fan.columns[at % columns]);
+            let (range_m, limit_m) = match sample {
+                Sample::Missing => continue,
+                Sample::Hit { p, away_m } => {
+                    if !self.is_doubtful(f64::from(labels.above_m[at]), *away_m) {
+                        window.hit(p);
+                    }
+                    ((p - row.origin).norm(), self.config.carve_range_m)
+                }
+                Sample::Nothing => {
+                    // Beyond the floor's height a return was due: without one the ray ends there.
+                    let x = row.origin.x + ray.x;
+                    let y = row.origin.y + ray.y;
+                    let over_m = row.origin.z - floor.z_at(row.origin.x, row.origin.y);
+                    let closing = over_m - (row.origin.z + ray.z - floor.z_at(x, y));
+                    let due_m = if closing > 1e-6 { over_m / closing } else { f64::INFINITY };
+                    (fan.max_range_m.min(due_m), self.config.carve_range_m)
+                }
+            };
+            // The ceiling follows the slope the robot stands on, but not below its own level.
+            let rise_m = floor.slope(&Vector3::new(ray.x, ray.y, 0.0)).max(0.0) * range_m;
+            let top_m = floor.point.z + ceiling_m + rise_m;
+            window.pass(&row.origin, &ray, range_m.min(limit_m), top_m);
+        }
+    }
+
+    /// Whether a far point so near to the ground before it that attitude noise may have raised it
+    /// must not count as an obstacle.
+    fn is_doubtful(&self, above_m: f64, away_m: f64) -> bool {
+        let noise_m = 2.5 * self.config.height_sigma_at(away_m);
+        away_m > 0.5 * self.config.ground_range_m
+            && above_m.abs() < self.shape.max_step_m.max(0.05) + noise_m
+    }
+
+    fn mark_missing(&mut self, missing: &ground::Missing) {
+        let void = if missing.proven { Void::Proven } else { Void::Suspected };
+        let cell_m = self.config.cell_m;
+        let stretch = missing.to - missing.from;
+        let steps = (2.0 * stretch.norm() / cell_m).ceil().max(1.0) as u32;
+        let first = CellIndex::at(missing.from.x, missing.from.y, cell_m);
+        for step in 0..=steps {
+            let p = missing.from + stretch * (f64::from(step) / f64::from(steps));
+            let cell = CellIndex::at(p.x, p.y, cell_m);
+            if cell != first || stretch.norm() < cell_m {
+                self.lattice.ground_mut(cell).mark_void(p.z, void);
+            }
+        }
+    }
+
+    /// Takes in a single laser line as flat occupancy (2D mode): for recordings and for robots whose
+    /// laser cannot tilt. It never makes ground, unless [`TerrainConfig::flat_floor`] says so.
+    ///
+    /// Beams that leave the horizontal by more than 5° are left out, as they end on floor or ceiling.
+    pub fn integrate_line(&mut self, line: &LaserLine, world_from_sensor: &Isometry3<f64>) {
+        self.scans += 1;
+        let cell_m = self.config.cell_m;
+        let origin = Point3::from(world_from_sensor.translation.vector);
+        for beam in 0..line.len() {
+            let ray = world_from_sensor * line.direction(beam);
+            if ray.z.abs() > 0.087 {
+                continue;
+            }
+            let (range_m, ended) = match line.classify(beam) {
+                Return::Hit(range_m) => (range_m, true),
+                Return::Nothing => (line.max_range_m.min(self.config.carve_range_m), false),
+                Return::Missing => continue,
+            };
+            let end = origin + ray * range_m;
+            let end_cell = CellIndex::at(end.x, end.y, cell_m);
+            let steps = (2.0 * range_m / cell_m).ceil().max(1.0) as u32;
+            let mut before = end_cell;
+            for step in 0..steps {
+                let p = origin + (end - origin) * (f64::from(step) / f64::from(steps));
+                let cell = CellIndex::at(p.x, p.y, cell_m);
+                if cell != before && cell != end_cell {
+                    self.add_flat(cell, FLAT_PASS);
+                }
+                before = cell;
+            }
+            if ended {
+                self.add_flat(end_cell, FLAT_HIT);
+            }
+        }
+    }
+
+    fn add_flat(&mut self, cell: CellIndex, tenths: i8) {
+        let (chunk, place) = lattice::split(cell);
+        self.lattice.chunk_or_new(chunk).add_flat(place, tenths);
+    }
+
+    /// Forgets everything and takes in `images` again, each with its corrected pose: for use after a
+    /// loop was closed. Assumed ground is lost; assume it again.
+    pub fn rebuild<'a>(
+        &mut self,
+        images: impl IntoIterator<Item = (&'a RangeImage, &'a Isometry3<f64>)>,
+    ) {
+        self.lattice = Lattice::default();
+        self.scans = 0;
+        for (image, world_from_robot) in images {
+            self.integrate(image, world_from_robot);
+        }
+    }
+
+    /// The surfaces known in a cell, of all levels, in no order.
+    pub fn surfaces(&self, cell: CellIndex) -> &[Surface] {
+        self.lattice.ground(cell).map_or(&[], |ground| ground.surfaces())
+    }
+
+    /// The sign of missing ground in a cell, with the height at which ground was due.
+    pub fn void(&self, cell: CellIndex) -> Option<(Void, f64)> {
+        self.lattice
+            .ground(cell)
+            .filter(|ground| ground.void != Void::None)
+            .map(|ground| (ground.void, f64::from(ground.void_z_m)))
+    }
+
+    /// Whether anything was hit between two heights of the map frame above a cell, and not looked
+    /// through since.
+    pub fn is_occupied_between(&self, cell: CellIndex, low_m: f64, high_m: f64) -> bool {
+        self.lattice.occupied_between(cell, low_m, high_m)
+    }
+
+    /// Cells in which ground was measured from at most [`TerrainConfig::coverage_range_m`] away, with
+    /// the height: what coverage counts by.
+    pub fn measured_ground(&self) -> impl Iterator<Item = (CellIndex, f64)> + '_ {
+        let reach_m = self.config.coverage_range_m as f32;
+        self.lattice.chunks().iter().flat_map(move |chunk| {
+            chunk.ground.iter().enumerate().flat_map(move |(place, ground)| {
+                let cell = CellIndex {
+                    x: chunk.x * lattice::CHUNK + place as i32 % lattice::CHUNK,
+                    y: chunk.y * lattice::CHUNK + place as i32 / lattice::CHUNK,
+                };
+                ground
+                    .surfaces()
+                    .iter()
+                    .filter(move |surface| surface.seen_from_m <= reach_m)
+                    .map(move |surface| (cell, f64::from(surface.z_m)))
+            })
+        })
+    }
+}

@@ -126,7 +126,7 @@ impl ObjectSta {
     /// Reads the line if it is one; the damage that belongs to its form is no problem.
     pub(super) fn read(fields: &mut Fields<'_>) -> Option<Self> {
         let size = fields.vector("Size")?;
-        fields.problems.clear();
+        fields.trust_unclosed();
         let name = fields.name();
         let location = fields.vector("Location");
         let rotation = fields.vector("Rotation");

@@ -1,1 +1,0 @@
-//! Scenario, robot and agent configuration: read, checked and handed down as values.

@@ -1,0 +1,165 @@
+//! `report.json`: what a run came to.
+
+use serde::{Deserialize, Serialize};
+
+/// Everything a run's report holds. A field that needs ground truth is `None` without it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Scenario name, or the level's name of a foreign server.
+    pub scenario: String,
+    /// Seed of the mission.
+    pub seed: u64,
+    /// How the mission ended: `time`, `explored`, `fallen`, `operator`, `battery`, `link lost` …
+    pub outcome: String,
+    /// Session time from connection to end, in seconds.
+    pub mission_time_s: f64,
+    /// Wall time of the run, in seconds.
+    pub wall_time_s: f64,
+    /// Where the mission time went.
+    pub time_split_s: TimeSplit,
+    /// Length of the estimated path, in metres.
+    pub distance_m: f64,
+    /// Every sweep in order.
+    pub sweeps: Vec<SweepReport>,
+    /// Surfaces fitted over all sweeps.
+    pub surfaces: SurfaceCounts,
+    /// Planar landmarks in the final map.
+    pub landmarks: usize,
+    /// Observations matched to a landmark over the mission.
+    pub associations: usize,
+    /// Floor that the robot can be driven to on the true map, in m².
+    pub reachable_m2: Option<f64>,
+    /// Part of it that was explored, in m².
+    pub explored_m2: Option<f64>,
+    /// `explored_m2 / reachable_m2`.
+    pub coverage: Option<f64>,
+    /// Explored area per minute of mission time.
+    pub m2_per_minute: Option<f64>,
+    /// Errors of the estimated pose against the truth.
+    pub pose_error: Option<PoseError>,
+    /// Falls, by the simulator's count.
+    pub falls: Option<usize>,
+    /// Collisions, by the simulator's count.
+    pub collisions: Option<usize>,
+    /// Speed of the hardest collision in m/s.
+    pub hardest_collision_mps: Option<f64>,
+    /// Times the robot found itself stuck.
+    pub stuck: usize,
+    /// Victims reported against those there are.
+    pub victims: VictimCounts,
+    /// Portals driven through.
+    pub portals: Option<PortalCounts>,
+    /// The 2019 rules' score with α = 1 and β = 0.5.
+    pub score_2019: Option<f64>,
+    /// Phases of the mission.
+    pub phases: Vec<PhaseReport>,
+    /// Share of the mission time without a drive lease held by an operator.
+    pub autonomy_fraction: f64,
+    /// Acts of an operator.
+    pub operator_acts: usize,
+    /// Frontiers that were left, and why.
+    pub frontiers_left: Vec<FrontierLeft>,
+    /// What the agent was warned of at the start: missing answers, clipped sweeps, blind ground.
+    pub warnings: Vec<String>,
+}
+
+/// Where the mission time went, in seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TimeSplit {
+    /// Sweeping.
+    pub scan: f64,
+    /// Driving.
+    pub drive: f64,
+    /// Turning in place.
+    pub turn: f64,
+    /// Standing while something is decided or waited for.
+    pub think: f64,
+    /// Getting free.
+    pub recover: f64,
+}
+
+/// One sweep.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SweepReport {
+    /// Name of the profile.
+    pub profile: String,
+    /// Rows filed.
+    pub rows: usize,
+    /// Seconds from the first tilt command to the last filed line.
+    pub seconds: f64,
+}
+
+/// Fitted surfaces by kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SurfaceCounts {
+    /// Planar patches.
+    pub planes: usize,
+    /// Spheres.
+    pub spheres: usize,
+    /// Cylinders.
+    pub cylinders: usize,
+}
+
+/// Errors of the estimated pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PoseError {
+    /// Root mean square of the position error over the trajectory, start poses laid on one another.
+    pub ate_rmse_m: f64,
+    /// Position error at the end.
+    pub final_m: f64,
+    /// Angle error at the end, in degrees.
+    pub final_deg: f64,
+    /// Final position error over the distance driven, in percent.
+    pub drift_percent: f64,
+    /// Final position error of odometry alone.
+    pub odometry_final_m: Option<f64>,
+    /// Final position error of the INS alone.
+    pub ins_final_m: Option<f64>,
+}
+
+/// Victims.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct VictimCounts {
+    /// Victims in the world.
+    #[serde(rename = "true")]
+    pub truth: Option<usize>,
+    /// Reported within 1.5 m of a true one.
+    pub found: Option<usize>,
+    /// Reported where there is none.
+    pub wrong: Option<usize>,
+    /// Not reported.
+    pub missed: Option<usize>,
+    /// Contacts of the robot with a victim.
+    pub contacts: Option<usize>,
+}
+
+/// Portals.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PortalCounts {
+    /// Portals of the map.
+    pub total: usize,
+    /// Those the robot drove through.
+    pub visited: usize,
+}
+
+/// One phase of the mission.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PhaseReport {
+    /// Name of the phase.
+    pub name: String,
+    /// Its beginning in seconds of mission time.
+    pub from_s: f64,
+    /// Its end.
+    pub to_s: f64,
+}
+
+/// A frontier that was not visited.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FrontierLeft {
+    /// Position in the map frame, in metres.
+    pub x: f64,
+    /// Position in the map frame, in metres.
+    pub y: f64,
+    /// Why it was left.
+    pub reason: String,
+}

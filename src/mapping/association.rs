@@ -1,0 +1,330 @@
+//! Which observation is which landmark: joint compatibility by branch and bound.
+//!
+//! The largest observations are decided together: a set of pairs is compatible when each fits after
+//! the others have corrected the pose (Neira and Tardós, "Data association in stochastic mapping using
+//! the joint compatibility test", 2001). The set with most pairs wins; sets of equal size that put the
+//! robot elsewhere are handed back beside it. With the pose so corrected the rest is decided one by
+//! one.
+
+use super::belief::{Belief, PairRows};
+use super::landmark::{Landmark, carried_hull, hulls_meet};
+use super::observation::Observation;
+use super::perturbation::pose_error;
+use nalgebra::{Matrix3x4, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Settings of data association.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AssociationConfig {
+    /// Gate on the squared Mahalanobis distance of a pair, χ² with 3 degrees of freedom: 11.345 is
+    /// 99 %, 16.266 is 99.9 %. Valid: above 0.
+    pub gate: f64,
+    /// Up to this distance an observation that misses the gate still may not found a landmark of its
+    /// own: it is left out. Valid: at least the gate.
+    pub doubt_gate: f64,
+    /// Greatest angle between normals in radians, beside what the pose leaves open. Valid: 0 to π/4.
+    pub max_angle_rad: f64,
+    /// Greatest gap along the normal in metres, beside what the pose leaves open. Valid: above 0.
+    pub max_offset_m: f64,
+    /// Greatest gap in the plane between two patches of one surface, in metres. A doorway is wider.
+    /// Valid: 0 to 0.7.
+    pub max_gap_m: f64,
+    /// Share of the smaller hull that must overlap. Valid: 0 to 1.
+    pub min_overlap_share: f64,
+    /// Observations that are decided jointly. Valid: at least 3.
+    pub anchors: usize,
+    /// Most pairs that the joint search tries. Valid: at least 1.
+    pub max_trials: usize,
+}
+
+impl Default for AssociationConfig {
+    fn default() -> Self {
+        Self {
+            gate: 16.266,
+            doubt_gate: 60.0,
+            max_angle_rad: 15_f64.to_radians(),
+            max_offset_m: 0.3,
+            max_gap_m: 0.4,
+            min_overlap_share: 0.1,
+            anchors: 10,
+            max_trials: 600,
+        }
+    }
+}
+
+/// A scan to be associated: observations, their columns for the scan's common errors, and for each
+/// the planes of the belief that it may be.
+pub(super) struct Question<'a> {
+    pub(super) observations: &'a [Observation],
+    pub(super) common: &'a [Option<Matrix3x4<f64>>],
+    pub(super) candidates: &'a [Vec<usize>],
+    /// The landmark behind each plane of the belief.
+    pub(super) landmarks: &'a [&'a Landmark],
+}
+
+/// A jointly compatible set of pairs.
+#[derive(Clone, Debug)]
+pub(super) struct Assignment {
+    /// Observation and plane of the belief.
+    pub(super) pairs: Vec<(usize, usize)>,
+    /// Logarithm of how much better the pairs explain the observations than new planes would.
+    pub(super) score: f64,
+    /// The belief after the pairs.
+    pub(super) belief: Belief,
+}
+
+/// What an observation was found to be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Verdict {
+    /// A landmark: plane of the belief and squared Mahalanobis distance.
+    Seen(usize, f64),
+    /// Nothing that is mapped.
+    New,
+    /// One of several landmarks.
+    Ambiguous,
+    /// Too far from a landmark to be it, too near to be something else.
+    Doubtful(f64),
+}
+
+/// Standard deviations of the pose below which further pairs would not change what fits.
+const SETTLED_M: f64 = 0.002;
+const SETTLED_RAD: f64 = 0.0005;
+/// Two assignments differ when they put the robot this far apart.
+const APART_M: f64 = 0.10;
+const APART_RAD: f64 = 0.03;
+/// Most assignments that are handed back.
+const MOST_ASSIGNMENTS: usize = 3;
+/// Difference of the distances of two landmarks below which neither is preferred.
+const CLOSE_CALL: f64 = 2.0;
+
+impl Question<'_> {
+    fn rows(&self, belief: &Belief, observation: usize, plane: usize) -> PairRows {
+        let common = self.common[observation].as_ref();
+        belief.pair(&self.observations[observation], common, plane)
+    }
+
+    fn absorb(&self, belief: &mut Belief, observation: usize, plane: usize) {
+        let common = self.common[observation].as_ref();
+        belief.absorb(&self.observations[observation], common, plane);
+    }
+
+    /// Whether a pair is worth a test: same side, a gap and an angle that the pose's uncertainty
+    /// explains, and patches that meet in the plane.
+    fn comparable(
+        &self,
+        belief: &Belief,
+        rows: &PairRows,
+        observation: usize,
+        plane: usize,
+        config: &AssociationConfig,
+    ) -> bool {
+        let open_offset = 3.5 * rows.s[(0, 0)].max(0.0).sqrt();
+        let open_angle = 3.5 * (rows.s[(1, 1)] + rows.s[(2, 2)]).max(0.0).sqrt();
+        if rows.angle_rad() > (config.max_angle_rad + open_angle).min(0.8)
+            || rows.h.x.abs() > config.max_offset_m + open_offset
+        {
+            return false;
+        }
+        self.patches_meet(belief, observation, plane, config)
+    }
+
+    fn patches_meet(
+        &self,
+        belief: &Belief,
+        observation: usize,
+        plane: usize,
+        config: &AssociationConfig,
+    ) -> bool {
+        let seen = &self.observations[observation];
+        let map = self.landmarks[plane];
+        let plane_from_observed =
+            belief.planes[plane].inverse() * belief.world_from_robot * seen.robot_from_plane;
+        let carried = carried_hull(&seen.hull, &plane_from_observed);
+        let pose = belief.pose_covariance();
+        let reach = seen.robot_from_plane.translation.vector.norm();
+        let turn = (pose[(3, 3)] + pose[(4, 4)] + pose[(5, 5)]).max(0.0).sqrt();
+        let shift = (pose[(0, 0)] + pose[(1, 1)] + pose[(2, 2)]).max(0.0).sqrt();
+        let gap = config.max_gap_m + 2.0 * (shift + reach * turn);
+        if !hulls_meet(&map.hull, &carried, config.min_overlap_share, gap) {
+            return false;
+        }
+        map.mask.is_empty()
+            || seen.mask.is_empty()
+            || map.mask.near(&seen.mask, &plane_from_observed, gap)
+    }
+
+    /// The jointly compatible sets of pairs among the largest observations, best first; at least one,
+    /// which may be empty.
+    pub(super) fn search(&self, belief: &Belief, config: &AssociationConfig) -> Vec<Assignment> {
+        let mut anchors: Vec<(usize, Vec<usize>)> = Vec::new();
+        for (observation, planes) in self.candidates.iter().enumerate() {
+            let fitting: Vec<usize> = planes
+                .iter()
+                .copied()
+                .filter(|&plane| {
+                    let rows = self.rows(belief, observation, plane);
+                    rows.distance_squared() < config.gate
+                        && self.comparable(belief, &rows, observation, plane, config)
+                })
+                .collect();
+            if !fitting.is_empty() {
+                anchors.push((observation, fitting));
+            }
+        }
+        // The large ones, and of those first the ones with fewest choices.
+        let area = |observation: usize| self.observations[observation].area_m2();
+        anchors.sort_by(|a, b| area(b.0).total_cmp(&area(a.0)).then(a.0.cmp(&b.0)));
+        anchors.truncate(config.anchors);
+        anchors.sort_by_key(|(_, fitting)| fitting.len());
+        let mut search =
+            Search { question: self, anchors: &anchors, config, trials: 0, found: Vec::new() };
+        let start = Assignment { pairs: Vec::new(), score: 0.0, belief: belief.clone() };
+        search.descend(0, start);
+        let mut found = search.found;
+        found.sort_by(|a, b| b.pairs.len().cmp(&a.pairs.len()).then(b.score.total_cmp(&a.score)));
+        let mut apart: Vec<Assignment> = Vec::new();
+        for assignment in found {
+            let known = apart.iter().any(|other| !puts_robot_elsewhere(other, &assignment));
+            if !known && apart.len() < MOST_ASSIGNMENTS {
+                apart.push(assignment);
+            }
+        }
+        apart
+    }
+
+    /// Decides every observation, given the belief after the joint search. Several observations may
+    /// be pieces of one landmark: with the pose settled, a piece that fits is a piece.
+    pub(super) fn decide(&self, belief: &Belief, config: &AssociationConfig) -> Vec<Verdict> {
+        (0..self.observations.len())
+            .map(|observation| {
+                let mut fitting: Vec<(f64, f64, usize)> = Vec::new();
+                let mut nearest_miss = f64::INFINITY;
+                for &plane in &self.candidates[observation] {
+                    let rows = self.rows(belief, observation, plane);
+                    if !self.comparable(belief, &rows, observation, plane, config) {
+                        continue;
+                    }
+                    let distance = rows.distance_squared();
+                    if distance < config.gate {
+                        fitting.push((distance + rows.log_determinant(), distance, plane));
+                    } else {
+                        nearest_miss = nearest_miss.min(distance);
+                    }
+                }
+                fitting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
+                match fitting.as_slice() {
+                    [] if nearest_miss < config.doubt_gate => Verdict::Doubtful(nearest_miss),
+                    [] => Verdict::New,
+                    [first, second, ..]
+                        if second.0 - first.0 < CLOSE_CALL
+                            && !self.same_surface(belief, first.2, second.2) =>
+                    {
+                        Verdict::Ambiguous
+                    }
+                    [first, ..] => Verdict::Seen(first.2, first.1),
+                }
+            })
+            .collect()
+    }
+
+    /// Normalised innovation squared of all observations that were recognised, jointly, under the
+    /// belief before any of them; linearised at the pose that they lead to.
+    pub(super) fn joint_nis(&self, before: &Belief, after: &Belief, verdicts: &[Verdict]) -> f64 {
+        let (belief, from_pose) = before.linearised_at(&after.world_from_robot);
+        let pairs: Vec<(PairRows, usize)> = verdicts
+            .iter()
+            .enumerate()
+            .filter_map(|(observation, verdict)| match *verdict {
+                Verdict::Seen(plane, _) => Some((self.rows(&belief, observation, plane), plane)),
+                _ => None,
+            })
+            .collect();
+        belief.joint_nis(&pairs, &from_pose)
+    }
+
+    /// Whether two planes of the belief are pieces of one surface as far as a scan can tell, so that
+    /// it does not matter much which of them is seen.
+    fn same_surface(&self, belief: &Belief, a: usize, b: usize) -> bool {
+        let (first, second) = (&belief.planes[a], &belief.planes[b]);
+        let relative = first.inverse() * second;
+        let angle = (relative.rotation * Vector3::z()).angle(&Vector3::z());
+        angle < 0.02 && relative.translation.vector.z.abs() < 0.02
+    }
+}
+
+fn puts_robot_elsewhere(a: &Assignment, b: &Assignment) -> bool {
+    let gap = pose_error(&a.belief.world_from_robot, &b.belief.world_from_robot);
+    gap.fixed_rows::<3>(0).norm() > APART_M || gap.fixed_rows::<3>(3).norm() > APART_RAD
+}
+
+struct Search<'a> {
+    question: &'a Question<'a>,
+    anchors: &'a [(usize, Vec<usize>)],
+    config: &'a AssociationConfig,
+    trials: usize,
+    found: Vec<Assignment>,
+}
+
+impl Search<'_> {
+    fn descend(&mut self, depth: usize, so_far: Assignment) {
+        let best = self.found.iter().map(|found| found.pairs.len()).max().unwrap_or(0);
+        let reachable = so_far.pairs.len() + self.anchors.len() - depth;
+        // The first descent always ends: only alternatives to it are given up.
+        let given_up = self.trials > self.config.max_trials && !self.found.is_empty();
+        if reachable < best || given_up {
+            return;
+        }
+        let Some((observation, planes)) = self.anchors.get(depth) else {
+            self.found.retain(|found| found.pairs.len() >= so_far.pairs.len());
+            self.found.push(so_far);
+            return;
+        };
+        let mut fitting: Vec<(f64, usize, PairRows)> = Vec::new();
+        for &plane in planes {
+            if so_far.pairs.iter().any(|pair| pair.1 == plane) {
+                continue;
+            }
+            self.trials += 1;
+            let rows = self.question.rows(&so_far.belief, *observation, plane);
+            let distance = rows.distance_squared();
+            if distance < self.config.gate
+                && self.question.comparable(&so_far.belief, &rows, *observation, plane, self.config)
+            {
+                fitting.push((distance, plane, rows));
+            }
+        }
+        fitting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        for (i, (distance, plane, rows)) in fitting.iter().enumerate() {
+            // Pieces of one surface put the robot in one place: trying one of them is enough.
+            let belief = &so_far.belief;
+            if fitting[..i].iter().any(|known| self.question.same_surface(belief, known.1, *plane))
+            {
+                continue;
+            }
+            let (distance, plane) = (*distance, *plane);
+            let mut next = so_far.clone();
+            next.pairs.push((*observation, plane));
+            next.score += log_ratio(distance, rows, self.config);
+            if !settled(&next.belief) {
+                self.question.absorb(&mut next.belief, *observation, plane);
+            }
+            self.descend(depth + 1, next);
+        }
+        self.descend(depth + 1, so_far);
+    }
+}
+
+/// How much better a landmark explains an observation than a plane that was never seen, which might
+/// lie anywhere within the limits of a comparison.
+fn log_ratio(distance_squared: f64, rows: &PairRows, config: &AssociationConfig) -> f64 {
+    let window = 2.0 * config.max_offset_m * (2.0 * config.max_angle_rad).powi(2);
+    let normaliser = 3.0 * std::f64::consts::TAU.ln() + rows.log_determinant();
+    window.ln() - 0.5 * (distance_squared + normaliser)
+}
+
+fn settled(belief: &Belief) -> bool {
+    let p = belief.pose_covariance();
+    (0..3).all(|i| p[(i, i)] < SETTLED_M * SETTLED_M)
+        && (3..6).all(|i| p[(i, i)] < SETTLED_RAD * SETTLED_RAD)
+}

@@ -1,0 +1,192 @@
+//! Taking a scan in: new variables and measurements, the solution, and the test after it.
+
+use super::{Arrival, Attitude, Estimate, Keyframe, Prepared, Roots, Sighting};
+use crate::mapping::association::{Assignment, AssociationConfig, Question, Verdict};
+use crate::mapping::graph::{Factor, FactorId, Value};
+use crate::mapping::landmark::{Landmark, LandmarkId};
+use crate::mapping::observation::Observation;
+use crate::mapping::odometry::predicted_covariance;
+use crate::mapping::report::{Addition, Association, RefusalReason, UpdateReport};
+use nalgebra::Matrix3x4;
+
+/// Most pairs that the test after the update may drop.
+const MOST_DROPPED: usize = 4;
+
+impl Estimate {
+    /// Takes a scan in under one of its assignments.
+    pub(in crate::mapping) fn apply(
+        &mut self,
+        arrival: &Arrival<'_>,
+        prepared: &Prepared,
+        assignment: &Assignment,
+        config: &AssociationConfig,
+    ) -> UpdateReport {
+        let observations = &arrival.scan.observations;
+        let landmarks = self.named(&prepared.planes);
+        let question = Question {
+            observations,
+            common: &prepared.common,
+            candidates: &prepared.candidates,
+            landmarks: &landmarks,
+        };
+        let verdicts = question.decide(&assignment.belief, config);
+        let nis = question.joint_nis(&prepared.belief, &assignment.belief, &verdicts);
+
+        let mut report = UpdateReport::begun(self.keyframes.len(), nis);
+        self.add_keyframe(arrival, prepared, assignment);
+        for (index, verdict) in verdicts.iter().enumerate() {
+            let observation = &observations[index];
+            let common = prepared.common[index];
+            match *verdict {
+                Verdict::Seen(plane, distance_squared) => {
+                    let landmark = prepared.planes[plane];
+                    self.see(index, landmark, observation, common);
+                    let pair = Association { observation: index, landmark, distance_squared };
+                    report.associations.push(pair);
+                }
+                Verdict::New => {
+                    let landmark = self.add_landmark(index, observation, common);
+                    report.added.push(Addition { observation: index, landmark });
+                }
+                Verdict::Ambiguous => report.refuse(index, RefusalReason::Ambiguous),
+                Verdict::Doubtful(distance) => {
+                    report.refuse(index, RefusalReason::Doubtful(distance));
+                }
+            }
+        }
+        report.nis_degrees = 3 * report.associations.len();
+        self.solve(&mut report, config);
+        self.keep_up(&mut report, observations);
+        report
+    }
+
+    /// Adds the variables of a new keyframe and what ties them to the past.
+    fn add_keyframe(
+        &mut self,
+        arrival: &Arrival<'_>,
+        prepared: &Prepared,
+        assignment: &Assignment,
+    ) {
+        let guess = assignment.belief.world_from_robot;
+        let pose = self.graph.add_variable(Value::Pose(guess));
+        let covariance = prepared.motion_covariance;
+        self.graph.add_factor(match self.keyframes.last() {
+            Some(last) => Factor::Between {
+                before: last.pose,
+                after: pose,
+                before_from_after: arrival.motion,
+                covariance,
+            },
+            None => Factor::Prior {
+                pose,
+                world_from_robot: self.start * arrival.motion,
+                covariance: predicted_covariance(
+                    &self.start,
+                    &self.start_covariance,
+                    &arrival.motion,
+                    &covariance,
+                ),
+            },
+        });
+        if let Some(Attitude { roll_rad, pitch_rad, sigma_rad }) = arrival.attitude {
+            self.graph.add_factor(Factor::Attitude { pose, roll_rad, pitch_rad, sigma_rad });
+        }
+        let errors = arrival.scan.errors.any().then(|| {
+            let key = self.graph.add_variable(Value::Errors(assignment.belief.errors()));
+            self.graph.add_factor(Factor::ErrorPrior { errors: key });
+            key
+        });
+        self.keyframe_of.insert(pose, self.keyframes.len());
+        self.keyframes.push(Keyframe { pose, errors, told: guess, sightings: Vec::new() });
+    }
+
+    /// Adds the measurement of a landmark from the newest keyframe.
+    fn see(
+        &mut self,
+        index: usize,
+        landmark: LandmarkId,
+        observation: &Observation,
+        common: Option<Matrix3x4<f64>>,
+    ) {
+        let number = self.keyframes.len() - 1;
+        let keyframe = &mut self.keyframes[number];
+        let roots = self.roots.get_mut(&landmark).expect("a landmark has roots");
+        let factor = self.graph.add_factor(Factor::Plane {
+            pose: keyframe.pose,
+            plane: roots.key,
+            errors: keyframe.errors.zip(common),
+            robot_from_plane: observation.robot_from_plane,
+            covariance: observation.covariance,
+        });
+        roots.sightings.push((number, index));
+        keyframe.sightings.push(Sighting {
+            index,
+            landmark,
+            factor,
+            observation: observation.clone(),
+        });
+    }
+
+    /// Adds a landmark that the newest keyframe sees first.
+    fn add_landmark(
+        &mut self,
+        index: usize,
+        observation: &Observation,
+        common: Option<Matrix3x4<f64>>,
+    ) -> LandmarkId {
+        let id = LandmarkId(self.next_landmark);
+        self.next_landmark += 1;
+        let number = self.keyframes.len() - 1;
+        let world_from_robot = self.graph.pose(self.keyframes[number].pose);
+        let landmark = Landmark::first_seen(id, observation, &world_from_robot, number);
+        let key = self.graph.add_variable(Value::Plane(landmark.world_from_plane));
+        self.landmark_of.insert(key, id);
+        self.roots.insert(id, Roots { key, sightings: Vec::new() });
+        self.landmarks.push(landmark);
+        self.see(index, id, observation, common);
+        id
+    }
+
+    /// Solves the graph, and again without the pair that fits worst as long as one does not fit.
+    fn solve(&mut self, report: &mut UpdateReport, config: &AssociationConfig) {
+        for round in 0..=MOST_DROPPED {
+            let update = self.graph.update();
+            report.iterations += update.rounds;
+            self.follow(&update.changed, report);
+            let worst = report
+                .associations
+                .iter()
+                .filter_map(|pair| {
+                    let factor = self.newest_sighting(pair.observation)?.factor;
+                    Some((self.graph.residual(factor)?.norm_squared(), pair.observation, factor))
+                })
+                .max_by(|a, b| a.0.total_cmp(&b.0));
+            let Some((distance, observation, factor)) =
+                worst.filter(|worst| worst.0 > config.gate && round < MOST_DROPPED)
+            else {
+                return;
+            };
+            self.drop_newest_sighting(observation, factor);
+            report.associations.retain(|pair| pair.observation != observation);
+            report.refuse(observation, RefusalReason::FailedRetest(distance));
+        }
+    }
+
+    fn newest_sighting(&self, index: usize) -> Option<&Sighting> {
+        let keyframe = self.keyframes.last()?;
+        keyframe.sightings.iter().find(|sighting| sighting.index == index)
+    }
+
+    fn drop_newest_sighting(&mut self, index: usize, factor: FactorId) {
+        self.graph.remove_factor(factor);
+        let number = self.keyframes.len() - 1;
+        let sightings = &mut self.keyframes[number].sightings;
+        let Some(at) = sightings.iter().position(|sighting| sighting.index == index) else {
+            return;
+        };
+        let landmark = sightings.remove(at).landmark;
+        if let Some(roots) = self.roots.get_mut(&landmark) {
+            roots.sightings.retain(|sighting| *sighting != (number, index));
+        }
+    }
+}

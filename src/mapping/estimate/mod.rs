@@ -1,0 +1,162 @@
+//! One consistent explanation of everything seen so far: the graph, and the map that hangs on it.
+//!
+//! A scan is first compared with the map ([`prepare`](Estimate::prepare)), which decides nothing, and
+//! then taken in under one of the assignments found ([`apply`](Estimate::apply)).
+
+mod apply;
+mod prepare;
+mod upkeep;
+
+use super::association::Assignment;
+use super::belief::Belief;
+use super::graph::{FactorId, Graph, GraphConfig, Key, positive};
+use super::index::SpatialIndex;
+use super::landmark::{Landmark, LandmarkId};
+use super::observation::Observation;
+use super::scan_errors::ScanObservations;
+use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Standard deviations with which an exact first pose enters: small beside any measurement, large
+/// beside rounding.
+const EXACT_M: f64 = 1e-5;
+const EXACT_RAD: f64 = 1e-6;
+
+/// Attitude measured at a scan.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Attitude {
+    pub(super) roll_rad: f64,
+    pub(super) pitch_rad: f64,
+    pub(super) sigma_rad: f64,
+}
+
+/// Everything that comes with a scan.
+pub(super) struct Arrival<'a> {
+    /// Motion since the last scan and its covariance in the frame at its beginning.
+    pub(super) motion: Isometry3<f64>,
+    pub(super) motion_covariance: Matrix6<f64>,
+    pub(super) attitude: Option<Attitude>,
+    pub(super) scan: &'a ScanObservations,
+}
+
+/// A scan compared with the map, before anything is decided for good.
+pub(super) struct Prepared {
+    /// What was believed before the scan.
+    belief: Belief,
+    /// Ways to associate it, best first; at least one, which may have no pair.
+    pub(super) assignments: Vec<Assignment>,
+    /// For each observation its candidates, as positions in `planes`.
+    candidates: Vec<Vec<usize>>,
+    /// The landmark behind each plane of the belief.
+    planes: Vec<LandmarkId>,
+    common: Vec<Option<Matrix3x4<f64>>>,
+    motion_covariance: Matrix6<f64>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Sighting {
+    /// Index of the observation within its scan.
+    index: usize,
+    landmark: LandmarkId,
+    factor: FactorId,
+    observation: Observation,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Keyframe {
+    pose: Key,
+    /// Common errors of its scan, if they were modelled.
+    errors: Option<Key>,
+    /// Pose as it was last told to the outside.
+    told: Isometry3<f64>,
+    sightings: Vec<Sighting>,
+}
+
+/// What the estimate keeps of a landmark beside the landmark itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Roots {
+    key: Key,
+    /// Keyframe and index of the observation within its scan, in order.
+    sightings: Vec<(usize, usize)>,
+}
+
+/// Graph, keyframes and landmarks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Estimate {
+    graph: Graph,
+    keyframes: Vec<Keyframe>,
+    /// Sorted by identity.
+    landmarks: Vec<Landmark>,
+    roots: BTreeMap<LandmarkId, Roots>,
+    landmark_of: BTreeMap<Key, LandmarkId>,
+    keyframe_of: BTreeMap<Key, usize>,
+    index: SpatialIndex,
+    next_landmark: u32,
+    start: Isometry3<f64>,
+    start_covariance: Matrix6<f64>,
+}
+
+impl Estimate {
+    pub(super) fn new(
+        graph: GraphConfig,
+        world_from_robot: Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+    ) -> Self {
+        let floor = Vector6::new(EXACT_M, EXACT_M, EXACT_M, EXACT_RAD, EXACT_RAD, EXACT_RAD)
+            .map(|sigma| sigma * sigma);
+        Self {
+            graph: Graph::new(graph),
+            keyframes: Vec::new(),
+            landmarks: Vec::new(),
+            roots: BTreeMap::new(),
+            landmark_of: BTreeMap::new(),
+            keyframe_of: BTreeMap::new(),
+            index: SpatialIndex::default(),
+            next_landmark: 0,
+            start: world_from_robot,
+            start_covariance: positive(covariance, &floor),
+        }
+    }
+
+    /// Whether no scan was taken in yet.
+    pub(super) fn is_empty(&self) -> bool {
+        self.keyframes.is_empty()
+    }
+
+    /// The landmarks, by identity.
+    pub(super) fn landmarks(&self) -> &[Landmark] {
+        &self.landmarks
+    }
+
+    pub(super) fn landmark(&self, id: LandmarkId) -> Option<&Landmark> {
+        self.slot(id).map(|slot| &self.landmarks[slot])
+    }
+
+    fn slot(&self, id: LandmarkId) -> Option<usize> {
+        self.landmarks.binary_search_by_key(&id, |landmark| landmark.id).ok()
+    }
+
+    /// Covariance of a landmark's frame now.
+    pub(super) fn landmark_covariance(&self, id: LandmarkId) -> Option<Matrix3<f64>> {
+        let roots = self.roots.get(&id)?;
+        Some(Matrix3::from_column_slice(self.graph.covariance(&[roots.key]).as_slice()))
+    }
+
+    /// Pose at the last scan, or the start.
+    pub(super) fn last_pose(&self) -> Isometry3<f64> {
+        self.keyframes.last().map_or(self.start, |keyframe| self.graph.pose(keyframe.pose))
+    }
+
+    /// Covariance of the pose at the last scan.
+    pub(super) fn last_covariance(&self) -> Matrix6<f64> {
+        self.keyframes.last().map_or(self.start_covariance, |keyframe| {
+            Matrix6::from_column_slice(self.graph.covariance(&[keyframe.pose]).as_slice())
+        })
+    }
+
+    /// Poses at all scans.
+    pub(super) fn poses(&self) -> Vec<Isometry3<f64>> {
+        self.keyframes.iter().map(|keyframe| self.graph.pose(keyframe.pose)).collect()
+    }
+}

@@ -1,0 +1,150 @@
+//! What hangs on the solution: landmarks' frames and extents, the index, corrected keyframes.
+
+use super::Estimate;
+use crate::mapping::graph::Key;
+use crate::mapping::index::Bounds;
+use crate::mapping::innovation::Innovation;
+use crate::mapping::landmark::LandmarkId;
+use crate::mapping::observation::Observation;
+use crate::mapping::perturbation::pose_error;
+use crate::mapping::report::{MovedKeyframe, UpdateReport, weak_directions};
+use nalgebra::{Isometry3, Matrix3, Matrix6};
+use std::collections::BTreeSet;
+
+/// A correction of an old pose that is worth telling: beyond it grid and trajectory are rebuilt.
+const MOVED_M: f64 = 0.02;
+const MOVED_RAD: f64 = 0.005;
+/// What a scan must leave of a direction, in metres, for that to be reported as weak.
+const WEAK_M: f64 = 0.05;
+/// Scans after which seeing a landmark again counts as the closing of a loop.
+const LOOP_SCANS: usize = 12;
+
+impl Estimate {
+    /// Carries the graph's solution over to landmarks, and notes which keyframes were corrected.
+    pub(super) fn follow(&mut self, changed: &BTreeSet<Key>, report: &mut UpdateReport) {
+        for key in changed {
+            if let Some(slot) = self.landmark_of.get(key).and_then(|id| self.slot(*id)) {
+                self.landmarks[slot].world_from_plane = self.graph.plane(*key);
+                self.refile(slot);
+            }
+            if let Some(&number) = self.keyframe_of.get(key) {
+                let pose = self.graph.pose(*key);
+                let told = self.keyframes[number].told;
+                let gap = pose_error(&told, &pose);
+                let far = gap.fixed_rows::<3>(0).norm() > MOVED_M
+                    || gap.fixed_rows::<3>(3).norm() > MOVED_RAD;
+                let newest = number + 1 == self.keyframes.len();
+                if newest {
+                    self.keyframes[number].told = pose;
+                } else if far {
+                    self.keyframes[number].told = pose;
+                    report.moved.retain(|moved| moved.keyframe != number);
+                    report.moved.push(MovedKeyframe {
+                        keyframe: number,
+                        before: told,
+                        world_from_robot: pose,
+                    });
+                }
+            }
+        }
+        report.moved.sort_by_key(|moved| moved.keyframe);
+    }
+
+    /// Extends the landmarks that a scan saw, rebuilds those whose old sightings moved, and completes
+    /// the report.
+    pub(super) fn keep_up(&mut self, report: &mut UpdateReport, observations: &[Observation]) {
+        let number = report.keyframe;
+        let pose = self.last_pose();
+        let mut rebuilt = BTreeSet::new();
+        for moved in &report.moved {
+            let seen = self.keyframes[moved.keyframe].sightings.iter().map(|s| s.landmark);
+            rebuilt.extend(seen);
+        }
+        for pair in &report.associations {
+            let Some(slot) = self.slot(pair.landmark) else { continue };
+            let landmark = &mut self.landmarks[slot];
+            report.loop_closed |= landmark.last_keyframe + LOOP_SCANS < number;
+            if landmark.last_keyframe != number {
+                landmark.sightings += 1;
+                landmark.last_keyframe = number;
+            }
+            if !rebuilt.contains(&pair.landmark) {
+                landmark.extend(&observations[pair.observation], &pose);
+            }
+        }
+        for id in rebuilt {
+            self.rebuild_extent(id);
+        }
+        let touched: Vec<LandmarkId> = report
+            .associations
+            .iter()
+            .map(|pair| pair.landmark)
+            .chain(report.added.iter().map(|added| added.landmark))
+            .collect();
+        self.renew_covariances(&touched);
+        report.world_from_robot = pose;
+        report.covariance = self.last_covariance();
+        let information = self.newest_information(&pose);
+        report.weak_directions = weak_directions(&information, &pose, WEAK_M);
+    }
+
+    /// Hull and mask of a landmark anew from all its sightings: after a correction the patches lie
+    /// elsewhere within the plane, which the plane itself does not show.
+    pub(super) fn rebuild_extent(&mut self, id: LandmarkId) {
+        let (Some(slot), Some(roots)) = (self.slot(id), self.roots.get(&id)) else { return };
+        let landmark = &mut self.landmarks[slot];
+        landmark.hull.clear();
+        landmark.mask = crate::mapping::mask::PlaneMask::default();
+        for &(number, index) in &roots.sightings {
+            let keyframe = &self.keyframes[number];
+            let pose = self.graph.pose(keyframe.pose);
+            if let Some(sighting) = keyframe.sightings.iter().find(|s| s.index == index) {
+                landmark.extend(&sighting.observation, &pose);
+            }
+        }
+        self.refile(slot);
+    }
+
+    /// Files a landmark in the index where it is now.
+    pub(super) fn refile(&mut self, slot: usize) {
+        let landmark = &self.landmarks[slot];
+        // A margin, so that small corrections change nothing in the index.
+        if let Some(bounds) = Bounds::around(landmark.hull_points(), 0.1) {
+            self.index.insert(landmark.id.0, bounds.coarse());
+        }
+    }
+
+    fn renew_covariances(&mut self, touched: &[LandmarkId]) {
+        let keys: Vec<Key> = touched.iter().map(|id| self.roots[id].key).collect();
+        let joint = self.graph.covariance(&keys);
+        for (i, &id) in touched.iter().enumerate() {
+            if let Some(slot) = self.slot(id) {
+                self.landmarks[slot].covariance =
+                    joint.fixed_view::<3, 3>(3 * i, 3 * i).into_owned();
+                self.refile(slot);
+            }
+        }
+    }
+
+    /// What the newest scan alone says about the pose when its landmarks are taken as exact.
+    fn newest_information(&self, pose: &Isometry3<f64>) -> Matrix6<f64> {
+        let Some(keyframe) = self.keyframes.last() else { return Matrix6::zeros() };
+        let number = self.keyframes.len() - 1;
+        let mut information = Matrix6::zeros();
+        for sighting in &keyframe.sightings {
+            let Some(landmark) = self.landmark(sighting.landmark) else { continue };
+            // A landmark that is new ties nothing down.
+            if landmark.first_keyframe == number {
+                continue;
+            }
+            let seen = &sighting.observation;
+            let innovation =
+                Innovation::new(&landmark.world_from_plane, pose, &seen.robot_from_plane);
+            let noise: Matrix3<f64> = innovation.h_z * seen.covariance * innovation.h_z.transpose();
+            if let Some(weight) = noise.try_inverse() {
+                information += innovation.h_x.transpose() * weight * innovation.h_x;
+            }
+        }
+        information
+    }
+}

@@ -1,0 +1,238 @@
+//! Everything that was measured, as a graph of factors, and its solution as a tree of cliques.
+//!
+//! Poses, planes and the common errors of scans are variables; odometry, observations and attitudes
+//! are factors. The graph keeps the square root of its information matrix as a tree (a multifrontal
+//! Cholesky factor): a new scan touches the cliques between its variables and the root, which is what
+//! the robot sees now, and nothing else. So an update costs what is visible, not what is mapped, and
+//! yet equals the solution of the whole problem. Revisiting a place re-eliminates the path to it,
+//! which is what closes a loop; a factor can be taken out again, which is what undoes one.
+//!
+//! Covariances come out of triangular solves with that factor, so they are symmetric and positive by
+//! construction after any number of updates, without Joseph's form. A dense filter in Joseph's form
+//! (in the tests) gives the same numbers.
+//!
+//! The idea of an incrementally maintained tree of cliques is that of Kaess et al., "iSAM2" (IJRR
+//! 2012); here the cliques hold Cholesky fronts, and a variable's error is that of
+//! [`perturbation`](super::perturbation).
+
+mod dense;
+mod factor;
+mod marginals;
+mod ordering;
+#[cfg(test)]
+mod tests;
+mod tree;
+
+pub use factor::{Factor, Linearised, positive, scaled_errors};
+
+use nalgebra::{Isometry3, Vector4};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use tree::Clique;
+
+/// Identity of a variable within one graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Key(pub u32);
+
+/// Identity of a factor within one graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct FactorId(pub u32);
+
+/// The value of a variable.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Value {
+    /// A pose of the robot in the world; its error is `[δt; δr]` in the world frame.
+    Pose(Isometry3<f64>),
+    /// A plane's frame in the world; its error is (offset, tilt about y, tilt about x) in the frame.
+    Plane(Isometry3<f64>),
+    /// Common errors of a scan, in units of their standard deviations.
+    Errors(Vector4<f64>),
+}
+
+/// When a variable is linearised again, and how far corrections are carried.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GraphConfig {
+    /// Shift from the linearisation point that makes a variable be linearised again, in metres.
+    /// Valid: above 0.
+    pub relinearise_m: f64,
+    /// The same for rotations, in radians. Valid: above 0.
+    pub relinearise_rad: f64,
+    /// A correction smaller than this (metres or radians) is not carried further down the tree.
+    /// Valid: 0 or more.
+    pub negligible: f64,
+    /// Most rounds of linearisation in one update. Valid: at least 1.
+    pub max_rounds: usize,
+}
+
+impl Default for GraphConfig {
+    fn default() -> Self {
+        Self { relinearise_m: 0.01, relinearise_rad: 0.001, negligible: 2e-5, max_rounds: 6 }
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Variable {
+    /// Linearisation point.
+    at: Value,
+    /// Solution relative to it.
+    delta: [f64; 6],
+    /// Clique that eliminates it.
+    clique: Option<usize>,
+    /// Factors that involve it, in the order of their ids.
+    factors: Vec<FactorId>,
+}
+
+impl Variable {
+    fn dimension(&self) -> usize {
+        self.at.dimension()
+    }
+
+    fn delta(&self) -> &[f64] {
+        &self.delta[..self.dimension()]
+    }
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Held {
+    factor: Factor,
+    linear: Linearised,
+}
+
+/// What an update of the graph did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GraphUpdate {
+    /// Rounds of linearisation.
+    pub rounds: usize,
+    /// Variables that were eliminated again, over all rounds.
+    pub eliminated: usize,
+    /// Variables whose solution changed by more than the negligible amount.
+    pub changed: BTreeSet<Key>,
+    /// Directions about which nothing was known; zero in a well-posed graph.
+    pub weak_pivots: usize,
+}
+
+/// Variables, factors and the tree.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Graph {
+    config: GraphConfig,
+    variables: Vec<Variable>,
+    factors: Vec<Option<Held>>,
+    cliques: Vec<Option<Clique>>,
+    free_cliques: Vec<usize>,
+    /// Variables whose cliques are out of date.
+    stale: BTreeSet<Key>,
+}
+
+impl Graph {
+    /// A graph without variables.
+    pub fn new(config: GraphConfig) -> Self {
+        Self {
+            config,
+            variables: Vec::new(),
+            factors: Vec::new(),
+            cliques: Vec::new(),
+            free_cliques: Vec::new(),
+            stale: BTreeSet::new(),
+        }
+    }
+
+    /// Adds a variable with a first guess of its value. It must be tied by a factor before the next
+    /// [`update`](Self::update).
+    pub fn add_variable(&mut self, guess: Value) -> Key {
+        let key = Key(self.variables.len() as u32);
+        self.variables.push(Variable {
+            at: guess,
+            delta: [0.0; 6],
+            clique: None,
+            factors: Vec::new(),
+        });
+        self.stale.insert(key);
+        key
+    }
+
+    /// Adds a measurement; [`update`](Self::update) takes it in.
+    pub fn add_factor(&mut self, factor: Factor) -> FactorId {
+        let id = FactorId(self.factors.len() as u32);
+        let linear = factor.linearise(|key| &self.variables[key.0 as usize].at);
+        for key in factor.keys() {
+            self.variables[key.0 as usize].factors.push(id);
+            self.stale.insert(key);
+        }
+        self.factors.push(Some(Held { factor, linear }));
+        id
+    }
+
+    /// Takes a measurement out again. A variable that keeps no factor stays where it is and ties
+    /// nothing.
+    pub fn remove_factor(&mut self, id: FactorId) {
+        let Some(held) = self.factors[id.0 as usize].take() else { return };
+        for key in held.factor.keys() {
+            self.variables[key.0 as usize].factors.retain(|other| *other != id);
+            self.stale.insert(key);
+        }
+    }
+
+    /// A measurement that is in the graph.
+    pub fn factor(&self, id: FactorId) -> Option<&Factor> {
+        self.factors.get(id.0 as usize)?.as_ref().map(|held| &held.factor)
+    }
+
+    /// The measurements that involve a variable.
+    pub fn factors_of(&self, key: Key) -> impl Iterator<Item = (FactorId, &Factor)> {
+        self.variables[key.0 as usize]
+            .factors
+            .iter()
+            .filter_map(|&id| self.factor(id).map(|factor| (id, factor)))
+    }
+
+    /// Number of measurements.
+    pub fn factor_count(&self) -> usize {
+        self.factors.iter().flatten().count()
+    }
+
+    /// Number of variables.
+    pub fn variable_count(&self) -> usize {
+        self.variables.len()
+    }
+
+    /// The present solution of a variable.
+    pub fn value(&self, key: Key) -> Value {
+        let variable = &self.variables[key.0 as usize];
+        variable.at.perturbed(variable.delta())
+    }
+
+    /// The present solution of a pose.
+    pub fn pose(&self, key: Key) -> Isometry3<f64> {
+        *self.value(key).pose()
+    }
+
+    /// The present solution of a plane.
+    pub fn plane(&self, key: Key) -> Isometry3<f64> {
+        *self.value(key).plane()
+    }
+
+    /// Whitened residual of a measurement at the present solution: its squared norm is the squared
+    /// Mahalanobis distance under the measurement's own noise.
+    pub fn residual(&self, id: FactorId) -> Option<nalgebra::DVector<f64>> {
+        let factor = self.factor(id)?;
+        let values: Vec<(Key, Value)> =
+            factor.keys().into_iter().map(|key| (key, self.value(key))).collect();
+        let value_of = |key: Key| {
+            values
+                .iter()
+                .find(|(known, _)| *known == key)
+                .map(|(_, value)| value)
+                .expect("a factor asks for its own keys only")
+        };
+        Some(factor.linearise(value_of).residual)
+    }
+
+    /// Sum of the squared whitened residuals of all measurements.
+    pub fn chi_squared(&self) -> f64 {
+        (0..self.factors.len())
+            .filter_map(|id| self.residual(FactorId(id as u32)))
+            .map(|residual| residual.norm_squared())
+            .sum()
+    }
+}

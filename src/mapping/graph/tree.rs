@@ -1,0 +1,372 @@
+//! The tree of cliques: which part an update renews, and how.
+
+use super::dense::factorise_leading;
+use super::ordering::{Symbolic, eliminate};
+use super::{Graph, GraphUpdate, Key};
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Information below which a direction counts as unknown (1 per km² or per (10⁴ rad)²): far below
+/// any prior.
+const UNKNOWN: f64 = 1e-8;
+
+/// Variables eliminated together, with what they say about one another and about the rest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Clique {
+    pub(super) frontals: Vec<Key>,
+    pub(super) separators: Vec<Key>,
+    pub(super) parent: Option<usize>,
+    pub(super) children: Vec<usize>,
+    /// The factor's columns of the frontal variables: rows of frontals, separators, right-hand side.
+    pub(super) columns: DMatrix<f64>,
+    /// What remains for the separators: lower triangle of their information, then the right-hand
+    /// side as the last row.
+    pub(super) remainder: DMatrix<f64>,
+}
+
+impl Graph {
+    /// Takes in all changes since the last update and solves again, linearising anew what moved.
+    pub fn update(&mut self) -> GraphUpdate {
+        let mut done = GraphUpdate::default();
+        while !self.stale.is_empty() && done.rounds < self.config.max_rounds {
+            done.rounds += 1;
+            let stale = std::mem::take(&mut self.stale);
+            let roots = self.renew(&stale, &mut done);
+            let changed = self.solve_down(&roots);
+            for key in &changed {
+                if self.moved_too_far(*key) {
+                    self.stale.insert(*key);
+                }
+            }
+            done.changed.extend(changed);
+            if done.rounds < self.config.max_rounds {
+                self.relinearise();
+            }
+        }
+        // What still wants another round keeps its solution; the next update continues.
+        self.stale.clear();
+        done
+    }
+
+    fn moved_too_far(&self, key: Key) -> bool {
+        let variable = &self.variables[key.0 as usize];
+        let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let delta = variable.delta();
+        let (shift, turn) = match delta.len() {
+            6 => (norm(&delta[..3]), norm(&delta[3..])),
+            3 => (delta[0].abs(), norm(&delta[1..])),
+            // Common errors enter almost linearly: in units of sigma they never matter here.
+            _ => (0.0, 0.0),
+        };
+        shift > self.config.relinearise_m || turn > self.config.relinearise_rad
+    }
+
+    /// Moves the linearisation point of every stale variable to its solution and renews the factors
+    /// around it; their other variables become stale too, as their cliques hold those factors.
+    fn relinearise(&mut self) {
+        let mut factors = BTreeSet::new();
+        for key in &self.stale {
+            let variable = &mut self.variables[key.0 as usize];
+            variable.at = variable.at.perturbed(&variable.delta[..variable.at.dimension()]);
+            variable.delta = [0.0; 6];
+            factors.extend(variable.factors.iter().copied());
+        }
+        for id in factors {
+            if let Some(held) = self.factors[id.0 as usize].as_mut() {
+                held.linear = held.factor.linearise(|key| &self.variables[key.0 as usize].at);
+                self.stale.extend(held.factor.keys());
+            }
+        }
+    }
+
+    /// Removes the cliques of the stale variables and all above them, and eliminates their variables
+    /// again. Returns the new cliques from the root down.
+    fn renew(&mut self, stale: &BTreeSet<Key>, done: &mut GraphUpdate) -> Vec<usize> {
+        let (removed, orphans) = self.remove_to_root(stale);
+        let mut keys: BTreeSet<Key> =
+            removed.iter().flat_map(|clique| clique.frontals.iter().copied()).collect();
+        keys.extend(stale.iter().copied().filter(|key| {
+            let variable = &self.variables[key.0 as usize];
+            variable.clique.is_none() && !variable.factors.is_empty()
+        }));
+        // A variable that lost its last factor leaves the tree.
+        keys.retain(|key| !self.variables[key.0 as usize].factors.is_empty());
+        done.eliminated += keys.len();
+
+        let local: BTreeMap<Key, usize> =
+            keys.iter().enumerate().map(|(index, key)| (*key, index)).collect();
+        let keys: Vec<Key> = keys.into_iter().collect();
+        // Factors whose first variable is renewed have all their variables renewed: the others are
+        // nearer to the root.
+        let mut factors = BTreeSet::new();
+        for key in &keys {
+            for id in &self.variables[key.0 as usize].factors {
+                let held = self.factors[id.0 as usize].as_ref().expect("listed factors exist");
+                if held.factor.keys().iter().all(|other| local.contains_key(other)) {
+                    factors.insert(*id);
+                }
+            }
+        }
+        let mut groups: Vec<Vec<usize>> = factors
+            .iter()
+            .map(|id| {
+                let held = self.factors[id.0 as usize].as_ref().expect("listed factors exist");
+                held.factor.keys().iter().map(|key| local[key]).collect()
+            })
+            .collect();
+        groups.extend(orphans.iter().map(|&orphan| {
+            let clique = self.cliques[orphan].as_ref().expect("orphans exist");
+            clique.separators.iter().map(|key| local[key]).collect::<Vec<_>>()
+        }));
+        let dimensions: Vec<usize> =
+            keys.iter().map(|key| self.variables[key.0 as usize].dimension()).collect();
+        // What was just touched is likely to be touched next: it goes to the root.
+        let group: Vec<u8> = keys.iter().map(|key| u8::from(stale.contains(key))).collect();
+        let symbolic = eliminate(&dimensions, &group, &groups);
+        let slots = self.place(&symbolic, &keys);
+        self.adopt(&orphans, &slots);
+
+        let mut by_clique: Vec<Vec<super::FactorId>> = vec![Vec::new(); symbolic.len()];
+        let mut home = vec![0; keys.len()];
+        let mut position = vec![0; keys.len()];
+        let mut at = 0;
+        for (index, clique) in symbolic.iter().enumerate() {
+            for &variable in &clique.frontals {
+                (home[variable], position[variable]) = (index, at);
+                at += 1;
+            }
+        }
+        for (id, group) in factors.iter().zip(&groups) {
+            let first = group.iter().copied().min_by_key(|&v| position[v]);
+            let first = first.expect("a factor has a variable");
+            by_clique[home[first]].push(*id);
+        }
+        for (index, &slot) in slots.iter().enumerate() {
+            done.weak_pivots += self.eliminate_clique(slot, &by_clique[index]);
+        }
+        slots.into_iter().rev().collect()
+    }
+
+    /// Takes out the cliques of `stale` and their ancestors; returns them, and the cliques below
+    /// that lost their parent.
+    fn remove_to_root(&mut self, stale: &BTreeSet<Key>) -> (Vec<Clique>, Vec<usize>) {
+        let mut doomed = BTreeSet::new();
+        for key in stale {
+            let mut at = self.variables[key.0 as usize].clique;
+            while let Some(clique) = at {
+                if !doomed.insert(clique) {
+                    break;
+                }
+                at = self.cliques[clique].as_ref().and_then(|clique| clique.parent);
+            }
+        }
+        let mut removed = Vec::new();
+        let mut orphans = Vec::new();
+        for &slot in &doomed {
+            let clique = self.cliques[slot].take().expect("a variable's clique exists");
+            for key in &clique.frontals {
+                self.variables[key.0 as usize].clique = None;
+            }
+            orphans.extend(clique.children.iter().copied().filter(|c| !doomed.contains(c)));
+            self.free_cliques.push(slot);
+            removed.push(clique);
+        }
+        orphans.sort_unstable();
+        (removed, orphans)
+    }
+
+    /// Makes empty cliques of the symbolic ones; returns their slots.
+    fn place(&mut self, symbolic: &[Symbolic], keys: &[Key]) -> Vec<usize> {
+        let slots: Vec<usize> = symbolic
+            .iter()
+            .map(|_| {
+                self.free_cliques.pop().unwrap_or_else(|| {
+                    self.cliques.push(None);
+                    self.cliques.len() - 1
+                })
+            })
+            .collect();
+        for (clique, &slot) in symbolic.iter().zip(&slots) {
+            let named = |list: &[usize]| list.iter().map(|&v| keys[v]).collect::<Vec<_>>();
+            for &variable in &clique.frontals {
+                self.variables[keys[variable].0 as usize].clique = Some(slot);
+            }
+            self.cliques[slot] = Some(Clique {
+                frontals: named(&clique.frontals),
+                separators: named(&clique.separators),
+                parent: clique.parent.map(|parent| slots[parent]),
+                children: Vec::new(),
+                columns: DMatrix::zeros(0, 0),
+                remainder: DMatrix::zeros(0, 0),
+            });
+        }
+        for (clique, &slot) in symbolic.iter().zip(&slots) {
+            if let Some(parent) = clique.parent {
+                self.clique_mut(slots[parent]).children.push(slot);
+            }
+        }
+        slots
+    }
+
+    /// Hangs each orphan below the clique that now eliminates the first of its separators; `slots`
+    /// are the renewed cliques in order of elimination, which hold all of them.
+    fn adopt(&mut self, orphans: &[usize], slots: &[usize]) {
+        let position: BTreeMap<usize, usize> =
+            slots.iter().enumerate().map(|(at, &slot)| (slot, at)).collect();
+        for &orphan in orphans {
+            let parent = self
+                .clique(orphan)
+                .separators
+                .iter()
+                .filter_map(|key| self.variables[key.0 as usize].clique)
+                .min_by_key(|slot| position.get(slot).copied());
+            self.clique_mut(orphan).parent = parent;
+            if let Some(parent) = parent {
+                self.clique_mut(parent).children.push(orphan);
+            }
+        }
+    }
+
+    pub(super) fn clique(&self, slot: usize) -> &Clique {
+        self.cliques[slot].as_ref().expect("slots in the tree are filled")
+    }
+
+    fn clique_mut(&mut self, slot: usize) -> &mut Clique {
+        self.cliques[slot].as_mut().expect("slots in the tree are filled")
+    }
+
+    /// Row of each variable of a clique in its front, and the sizes of both parts.
+    pub(super) fn layout(&self, clique: &Clique) -> (BTreeMap<Key, usize>, usize, usize) {
+        let mut rows = BTreeMap::new();
+        let mut at = 0;
+        for key in &clique.frontals {
+            rows.insert(*key, at);
+            at += self.variables[key.0 as usize].dimension();
+        }
+        let frontal = at;
+        for key in &clique.separators {
+            rows.insert(*key, at);
+            at += self.variables[key.0 as usize].dimension();
+        }
+        (rows, frontal, at)
+    }
+
+    /// Assembles a clique's front from its factors and its children's remainders and eliminates its
+    /// frontal variables. Returns the number of unknown directions.
+    fn eliminate_clique(&mut self, slot: usize, factors: &[super::FactorId]) -> usize {
+        let clique = self.clique(slot);
+        let (rows, frontal, size) = self.layout(clique);
+        let mut front = DMatrix::zeros(size + 1, size);
+        for id in factors {
+            self.assemble_factor(*id, &rows, &mut front);
+        }
+        for &child in &clique.children {
+            self.assemble_child(child, &rows, &mut front);
+        }
+        let weak = factorise_leading(&mut front, frontal, UNKNOWN);
+        let rest = size - frontal;
+        let remainder = front.view((frontal, frontal), (rest + 1, rest)).into_owned();
+        let clique = self.clique_mut(slot);
+        clique.columns = front.columns(0, frontal).into_owned();
+        clique.remainder = remainder;
+        weak
+    }
+
+    /// Adds `Jᵀ J` and `-Jᵀ r` of a factor to a front's lower triangle and last row.
+    fn assemble_factor(
+        &self,
+        id: super::FactorId,
+        rows: &BTreeMap<Key, usize>,
+        front: &mut DMatrix<f64>,
+    ) {
+        let held = self.factors[id.0 as usize].as_ref().expect("listed factors exist");
+        let (jacobian, residual) = (&held.linear.jacobian, &held.linear.residual);
+        let last = front.nrows() - 1;
+        let mut column_of = Vec::with_capacity(jacobian.ncols());
+        for key in held.factor.keys() {
+            let start = rows[&key];
+            column_of.extend(start..start + self.variables[key.0 as usize].dimension());
+        }
+        for (i, &row) in column_of.iter().enumerate() {
+            let left = jacobian.column(i);
+            for (j, &column) in column_of.iter().enumerate() {
+                if column <= row {
+                    front[(row, column)] += left.dot(&jacobian.column(j));
+                }
+            }
+            front[(last, row)] -= left.dot(residual);
+        }
+    }
+
+    fn assemble_child(&self, child: usize, rows: &BTreeMap<Key, usize>, front: &mut DMatrix<f64>) {
+        let child = self.clique(child);
+        let mut target = Vec::with_capacity(child.remainder.ncols());
+        for key in &child.separators {
+            let start = rows[key];
+            target.extend(start..start + self.variables[key.0 as usize].dimension());
+        }
+        let last = front.nrows() - 1;
+        for (j, &column) in target.iter().enumerate() {
+            for (i, &row) in target.iter().enumerate().skip(j) {
+                // The child's order of the separators may differ from the parent's.
+                let (low, high) = if row >= column { (row, column) } else { (column, row) };
+                front[(low, high)] += child.remainder[(i, j)];
+            }
+            front[(last, column)] += child.remainder[(target.len(), j)];
+        }
+    }
+
+    /// Solves from the root down: all of `renewed` (parents first), and below them as far as
+    /// corrections matter. Returns the variables whose solution changed.
+    fn solve_down(&mut self, renewed: &[usize]) -> BTreeSet<Key> {
+        let fresh: BTreeSet<usize> = renewed.iter().copied().collect();
+        let mut changed = BTreeSet::new();
+        let mut pending: Vec<usize> = Vec::new();
+        for &slot in renewed {
+            self.solve_clique(slot, &mut changed);
+            pending.extend(self.clique(slot).children.iter().filter(|c| !fresh.contains(c)));
+        }
+        while let Some(slot) = pending.pop() {
+            let clique = self.clique(slot);
+            if clique.separators.iter().any(|key| changed.contains(key)) {
+                pending.extend(clique.children.iter().copied());
+                self.solve_clique(slot, &mut changed);
+            }
+        }
+        changed
+    }
+
+    fn solve_clique(&mut self, slot: usize, changed: &mut BTreeSet<Key>) {
+        let clique = self.clique(slot);
+        let frontal = clique.columns.ncols();
+        let size = clique.columns.nrows() - 1;
+        let mut solution = clique.columns.row(size).transpose();
+        if size > frontal {
+            let mut above = DVector::zeros(size - frontal);
+            let mut at = 0;
+            for key in &clique.separators {
+                let delta = self.variables[key.0 as usize].delta();
+                above.as_mut_slice()[at..at + delta.len()].copy_from_slice(delta);
+                at += delta.len();
+            }
+            solution.gemv_tr(-1.0, &clique.columns.rows(frontal, size - frontal), &above, 1.0);
+        }
+        let solved = clique.columns.rows(0, frontal).tr_solve_lower_triangular_mut(&mut solution);
+        debug_assert!(solved, "pivots are positive after elimination");
+        let negligible = self.config.negligible;
+        let frontals = self.clique(slot).frontals.clone();
+        let mut at = 0;
+        for key in frontals {
+            let variable = &mut self.variables[key.0 as usize];
+            let dimension = variable.at.dimension();
+            let new = &solution.as_slice()[at..at + dimension];
+            let old = &mut variable.delta[..dimension];
+            if old.iter().zip(new).any(|(old, new)| (old - new).abs() > negligible) {
+                changed.insert(key);
+            }
+            old.copy_from_slice(new);
+            at += dimension;
+        }
+    }
+}

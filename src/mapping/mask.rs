@@ -1,0 +1,268 @@
+use nalgebra::{Isometry3, Point2, Point3};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Edge of a mask cell in metres.
+pub const MASK_CELL_M: f64 = 0.1;
+/// Cells along the edge of a tile; a tile is one `u64`.
+const TILE: i32 = 8;
+/// Cells of which a mask is sampled when only nearness is asked.
+const NEAR_SAMPLES: usize = 200;
+/// No scanner spans a longer gap between neighbouring beams on one surface.
+const LONGEST_TRIANGLE_M: f64 = 50.0;
+
+/// Which cells of a plane were hit: a bit per 0.1 m square of its local x-y plane.
+///
+/// A convex hull covers doorways and stair wells; this does not. Stored in tiles of 8 × 8 cells, so
+/// that a long wall costs a few hundred bytes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlaneMask {
+    tiles: BTreeMap<(i32, i32), u64>,
+}
+
+/// The cell that holds a local coordinate.
+fn cell_of(coordinate_m: f64) -> i32 {
+    (coordinate_m / MASK_CELL_M).floor().clamp(-1e6, 1e6) as i32
+}
+
+impl PlaneMask {
+    /// Whether no cell is set.
+    pub fn is_empty(&self) -> bool {
+        self.tiles.is_empty()
+    }
+
+    /// Number of cells that are set.
+    pub fn count(&self) -> usize {
+        self.tiles.values().map(|bits| bits.count_ones() as usize).sum()
+    }
+
+    /// Area of all cells that are set, in m².
+    pub fn area_m2(&self) -> f64 {
+        self.count() as f64 * MASK_CELL_M * MASK_CELL_M
+    }
+
+    fn set(&mut self, x: i32, y: i32) {
+        let bit = y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE);
+        *self.tiles.entry((x.div_euclid(TILE), y.div_euclid(TILE))).or_default() |= 1 << bit;
+    }
+
+    fn get(&self, x: i32, y: i32) -> bool {
+        let bit = y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE);
+        self.tiles
+            .get(&(x.div_euclid(TILE), y.div_euclid(TILE)))
+            .is_some_and(|bits| bits >> bit & 1 == 1)
+    }
+
+    /// Sets the cell of a point of the plane; a point that is not finite sets none.
+    pub fn insert(&mut self, point: &Point2<f64>) {
+        if point.x.is_finite() && point.y.is_finite() {
+            self.set(cell_of(point.x), cell_of(point.y));
+        }
+    }
+
+    /// Sets the cells whose centre lies in a triangle.
+    pub fn insert_triangle(&mut self, corners: &[Point2<f64>; 3]) {
+        let low = corners[0].inf(&corners[1]).inf(&corners[2]);
+        let high = corners[0].sup(&corners[1]).sup(&corners[2]);
+        let size_m = (high - low).amax();
+        if !size_m.is_finite() || size_m > LONGEST_TRIANGLE_M {
+            return;
+        }
+        let [a, b, c] = corners;
+        let side = |p: &Point2<f64>, q: &Point2<f64>, x: f64, y: f64| {
+            (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x)
+        };
+        let turn = side(a, b, c.x, c.y).signum();
+        for y in cell_of(low.y)..=cell_of(high.y) {
+            for x in cell_of(low.x)..=cell_of(high.x) {
+                let (px, py) = centre(x, y);
+                let inside =
+                    [(a, b), (b, c), (c, a)].iter().all(|(p, q)| side(p, q, px, py) * turn >= 0.0);
+                if inside {
+                    self.set(x, y);
+                }
+            }
+        }
+    }
+
+    /// Whether the cell of a point is set.
+    pub fn contains(&self, point: &Point2<f64>) -> bool {
+        self.get(cell_of(point.x), cell_of(point.y))
+    }
+
+    /// Centres of the cells that are set, by tile, then row by row.
+    pub fn cells(&self) -> impl Iterator<Item = Point2<f64>> + '_ {
+        self.tiles.iter().flat_map(|(&(tile_x, tile_y), &bits)| {
+            (0..TILE * TILE).filter(move |bit| bits >> bit & 1 == 1).map(move |bit| {
+                let (x, y) = centre(tile_x * TILE + bit % TILE, tile_y * TILE + bit / TILE);
+                Point2::new(x, y)
+            })
+        })
+    }
+
+    /// Adds the cells of `other`, whose plane lies at `self_from_other` (its z is dropped).
+    pub fn merge(&mut self, other: &Self, self_from_other: &Isometry3<f64>) {
+        // Quarter points: a lattice of half a cell meets every cell whatever the turn, so a filled
+        // area stays filled.
+        let quarter = 0.25 * MASK_CELL_M;
+        let turn = self_from_other.rotation.to_rotation_matrix().into_inner();
+        let shift = self_from_other.translation.vector;
+        // Bits of the tile that the walk is in; written out when it leaves.
+        let mut at = None;
+        let mut bits = 0;
+        for cell in other.cells() {
+            for (dx, dy) in
+                [(-quarter, -quarter), (quarter, -quarter), (-quarter, quarter), (quarter, quarter)]
+            {
+                let (u, v) = (cell.x + dx, cell.y + dy);
+                let x = cell_of(turn[(0, 0)] * u + turn[(0, 1)] * v + shift.x);
+                let y = cell_of(turn[(1, 0)] * u + turn[(1, 1)] * v + shift.y);
+                let tile = (x.div_euclid(TILE), y.div_euclid(TILE));
+                if at != Some(tile) {
+                    self.set_bits(at, bits);
+                    (at, bits) = (Some(tile), 0);
+                }
+                bits |= 1 << (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE));
+            }
+        }
+        self.set_bits(at, bits);
+    }
+
+    fn set_bits(&mut self, tile: Option<(i32, i32)>, bits: u64) {
+        if let Some(tile) = tile {
+            *self.tiles.entry(tile).or_default() |= bits;
+        }
+    }
+
+    /// Whether any cell of `other`, carried over by `self_from_other`, lies within `reach_m` (in each
+    /// axis) of a cell that is set here. A large `other` is sampled at some hundred cells.
+    pub fn near(&self, other: &Self, self_from_other: &Isometry3<f64>, reach_m: f64) -> bool {
+        let reach = (reach_m / MASK_CELL_M).ceil() as i32;
+        let stride = (other.count() / NEAR_SAMPLES).max(1);
+        other.cells().step_by(stride).any(|cell| {
+            let p = self_from_other * Point3::new(cell.x, cell.y, 0.0);
+            self.any_within(cell_of(p.x), cell_of(p.y), reach)
+        })
+    }
+
+    /// Whether a cell within `reach` cells of `(x, y)` in each axis is set.
+    fn any_within(&self, x: i32, y: i32, reach: i32) -> bool {
+        let (low_x, high_x, low_y, high_y) = (x - reach, x + reach, y - reach, y + reach);
+        (low_y.div_euclid(TILE)..=high_y.div_euclid(TILE)).any(|tile_y| {
+            let rows = bits_between(low_y - tile_y * TILE, high_y - tile_y * TILE);
+            (low_x.div_euclid(TILE)..=high_x.div_euclid(TILE)).any(|tile_x| {
+                let Some(bits) = self.tiles.get(&(tile_x, tile_y)) else { return false };
+                let columns = bits_between(low_x - tile_x * TILE, high_x - tile_x * TILE);
+                (0..TILE).any(|row| rows >> row & 1 == 1 && bits >> (row * TILE) & columns != 0)
+            })
+        })
+    }
+
+    /// The outline of the set cells as straight pieces between cell corners, for drawing.
+    pub fn boundary(&self) -> Vec<(Point2<f64>, Point2<f64>)> {
+        let mut pieces = Vec::new();
+        for cell in self.cells() {
+            let (x, y) = (cell_of(cell.x), cell_of(cell.y));
+            let corner = |dx: i32, dy: i32| {
+                Point2::new(f64::from(x + dx) * MASK_CELL_M, f64::from(y + dy) * MASK_CELL_M)
+            };
+            let sides = [
+                ((0, -1), (0, 0), (1, 0)),
+                ((1, 0), (1, 0), (1, 1)),
+                ((0, 1), (1, 1), (0, 1)),
+                ((-1, 0), (0, 1), (0, 0)),
+            ];
+            for ((dx, dy), from, to) in sides {
+                if !self.get(x + dx, y + dy) {
+                    pieces.push((corner(from.0, from.1), corner(to.0, to.1)));
+                }
+            }
+        }
+        pieces
+    }
+}
+
+/// Ones from `low` to `high`, both cut to one row of a tile.
+fn bits_between(low: i32, high: i32) -> u64 {
+    let (low, high) = (low.clamp(0, TILE), (high + 1).clamp(0, TILE));
+    if low >= high { 0 } else { (1 << high) - (1 << low) }
+}
+
+fn centre(x: i32, y: i32) -> (f64, f64) {
+    ((f64::from(x) + 0.5) * MASK_CELL_M, (f64::from(y) + 0.5) * MASK_CELL_M)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{UnitQuaternion, Vector3};
+    use proptest::prelude::*;
+
+    fn rectangle(x0: f64, y0: f64, x1: f64, y1: f64) -> PlaneMask {
+        let mut mask = PlaneMask::default();
+        let corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)].map(|(x, y)| Point2::new(x, y));
+        mask.insert_triangle(&[corners[0], corners[1], corners[2]]);
+        mask.insert_triangle(&[corners[0], corners[2], corners[3]]);
+        mask
+    }
+
+    #[test]
+    fn a_doorway_between_two_pieces_stays_open() {
+        let mut wall = rectangle(-3.0, 0.0, -0.45, 2.0);
+        wall.merge(&rectangle(0.45, 0.0, 3.0, 2.0), &Isometry3::identity());
+        assert!(wall.contains(&Point2::new(-1.0, 1.0)) && wall.contains(&Point2::new(1.0, 1.0)));
+        assert!(!wall.contains(&Point2::new(0.0, 1.0)));
+        assert!((wall.area_m2() - 2.0 * 2.55 * 2.0).abs() < 0.6);
+    }
+
+    #[test]
+    fn near_reaches_as_far_as_told() {
+        let (a, b) = (rectangle(0.0, 0.0, 1.0, 1.0), rectangle(1.75, 0.0, 2.5, 1.0));
+        assert!(!a.near(&b, &Isometry3::identity(), 0.5));
+        assert!(a.near(&b, &Isometry3::identity(), 0.8));
+        assert!(a.near(&b, &Isometry3::translation(-0.5, 0.0, 0.0), 0.3));
+    }
+
+    #[test]
+    fn the_boundary_of_a_square_is_its_four_sides() {
+        assert_eq!(rectangle(0.0, 0.0, 1.0, 1.0).boundary().len(), 40);
+    }
+
+    proptest! {
+        #[test]
+        fn near_agrees_with_a_search_cell_by_cell(
+            a in prop::collection::vec((-20..20_i32, -20..20_i32), 0..12),
+            b in prop::collection::vec((-20..20_i32, -20..20_i32), 0..12), reach in 0..9_i32,
+        ) {
+            let mask = |cells: &[(i32, i32)]| {
+                let mut mask = PlaneMask::default();
+                for &(x, y) in cells {
+                    mask.set(x, y);
+                }
+                mask
+            };
+            let expected = a.iter().any(|(x, y)| {
+                b.iter().any(|(u, v)| (x - u).abs() <= reach && (y - v).abs() <= reach)
+            });
+            let reach_m = f64::from(reach) * MASK_CELL_M - 1e-9;
+            prop_assert_eq!(mask(&a).near(&mask(&b), &Isometry3::identity(), reach_m), expected);
+        }
+
+        #[test]
+        fn a_filled_area_stays_filled_under_any_turn(angle in -3.2..3.2f64, x in -2.0..2.0f64) {
+            let turned = Isometry3::from_parts(
+                Vector3::new(x, 0.3, 0.0).into(),
+                UnitQuaternion::from_scaled_axis(Vector3::z() * angle),
+            );
+            let mut mask = PlaneMask::default();
+            mask.merge(&rectangle(-1.0, -1.0, 1.0, 1.0), &turned);
+            for i in -8..=8 {
+                for j in -8..=8 {
+                    let p = turned * Point3::new(f64::from(i) * 0.1, f64::from(j) * 0.1, 0.0);
+                    prop_assert!(mask.contains(&p.xy()));
+                }
+            }
+            prop_assert!(mask.area_m2() < 4.0 + 8.0 * 0.2 + 0.5);
+        }
+    }
+}

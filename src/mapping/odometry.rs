@@ -1,0 +1,203 @@
+use super::perturbation::{first_jacobian, second_jacobian, symmetric};
+use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Share of the fixed part of a motion's error that stays when there was none.
+const REST_SHARE: f64 = 0.1;
+
+/// How wrong wheel odometry of a skid-steered robot is, per way driven and angle turned.
+///
+/// Each standard deviation is the root of the sum of the squares of a fixed part, a part per metre
+/// of path and a part per radian of turning. The wheels measure x, y and heading; height, pitch and
+/// roll are not measured at all, so their spread is what the ground may do to the robot within a
+/// metre (ramps, kerbs), not an accuracy.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OdometryNoise {
+    /// Position and height, fixed part of any motion, in metres: starting and stopping. Valid: above 0.
+    pub fixed_m: f64,
+    /// Heading, pitch and roll, fixed part of any motion, in radians. Valid: above 0.
+    pub fixed_rad: f64,
+    /// Position error per metre of path. Valid: 0 to 1.
+    pub position_per_m: f64,
+    /// Position error in metres per radian turned: a skid-steered robot walks while it turns.
+    /// Valid: 0 to 1.
+    pub position_per_rad: f64,
+    /// Heading error in radians per metre of path. Valid: 0 to 1.
+    pub heading_per_m: f64,
+    /// Heading error per radian turned: wheels slip sideways. Valid: 0 to 1.
+    pub heading_per_rad: f64,
+    /// Height error per metre of path. Valid: 0 to 1.
+    pub height_per_m: f64,
+    /// Pitch and roll error in radians per metre of path. Valid: 0 to 1.
+    pub attitude_per_m: f64,
+}
+
+impl Default for OdometryNoise {
+    fn default() -> Self {
+        Self {
+            fixed_m: 0.01,
+            fixed_rad: 0.005,
+            position_per_m: 0.08,
+            position_per_rad: 0.08,
+            heading_per_m: 0.05,
+            heading_per_rad: 0.12,
+            height_per_m: 0.08,
+            attitude_per_m: 0.06,
+        }
+    }
+}
+
+/// Motion gathered between two scans.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Motion {
+    /// Pose of the robot now in its own frame at the beginning.
+    pub before_from_after: Isometry3<f64>,
+    /// Length of the path in metres, turns back included.
+    pub path_m: f64,
+    /// Sum of the absolute turns in radians.
+    pub turn_rad: f64,
+}
+
+impl Default for Motion {
+    fn default() -> Self {
+        Self { before_from_after: Isometry3::identity(), path_m: 0.0, turn_rad: 0.0 }
+    }
+}
+
+impl Motion {
+    /// Appends one odometry increment.
+    pub fn append(&mut self, before_from_after: &Isometry3<f64>) {
+        self.before_from_after *= before_from_after;
+        self.before_from_after.rotation.renormalize();
+        self.path_m += before_from_after.translation.vector.norm();
+        self.turn_rad += before_from_after.rotation.angle();
+    }
+
+    /// Whether nothing was appended that moved the robot.
+    pub fn is_still(&self) -> bool {
+        self.path_m == 0.0 && self.turn_rad == 0.0
+    }
+}
+
+impl OdometryNoise {
+    /// The paper's Q: covariance of a motion's error `[δt; δr]` in the frame at its beginning.
+    pub fn covariance(&self, motion: &Motion) -> Matrix6<f64> {
+        let sum = |parts: [f64; 3]| parts.iter().map(|part| part * part).sum::<f64>();
+        let (path, turn) = (motion.path_m, motion.turn_rad);
+        // A robot that was not told to move still rocks a little on its wheels.
+        let rest = if motion.is_still() { REST_SHARE } else { 1.0 };
+        let (fixed_m, fixed_rad) = (rest * self.fixed_m, rest * self.fixed_rad);
+        let position = sum([fixed_m, self.position_per_m * path, self.position_per_rad * turn]);
+        let heading = sum([fixed_rad, self.heading_per_m * path, self.heading_per_rad * turn]);
+        let height = sum([fixed_m, self.height_per_m * path, 0.0]);
+        let attitude = sum([fixed_rad, self.attitude_per_m * path, 0.0]);
+        let mut covariance = Matrix6::from_diagonal(&nalgebra::Vector6::new(
+            position, position, height, attitude, attitude, heading,
+        ));
+        // A heading error that grows along the way displaces the end sideways by half the way; when
+        // it grew is not known, so as much again is added that is not tied to the final heading.
+        let reach = motion.before_from_after.translation.vector;
+        let (along_y, along_x) = (0.5 * reach.x, -0.5 * reach.y);
+        let twice = 2.0 * heading;
+        covariance[(0, 0)] += twice * along_x * along_x;
+        covariance[(1, 1)] += twice * along_y * along_y;
+        covariance[(0, 1)] += twice * along_x * along_y;
+        covariance[(1, 0)] += twice * along_x * along_y;
+        for (row, lever) in [(0, along_x), (1, along_y)] {
+            covariance[(row, 5)] += heading * lever;
+            covariance[(5, row)] += heading * lever;
+        }
+        covariance
+    }
+}
+
+/// A planar odometry increment on ground that an inertial unit sees sloping: the way driven lies in
+/// the robot's own plane, and its attitude changes from `before` to `after` (roll, pitch).
+///
+/// `forward_m` and `left_m` are along the axes before the motion; `turn_rad` is the change of heading.
+pub fn tilted_increment(
+    forward_m: f64,
+    left_m: f64,
+    turn_rad: f64,
+    before: (f64, f64),
+    after: (f64, f64),
+) -> Isometry3<f64> {
+    let rotation_before = UnitQuaternion::from_euler_angles(before.0, before.1, 0.0);
+    let rotation_after = UnitQuaternion::from_euler_angles(after.0, after.1, turn_rad);
+    // Half of the way is driven under each attitude.
+    let way = Vector3::new(forward_m, left_m, 0.0);
+    let level_after = UnitQuaternion::from_euler_angles(after.0, after.1, 0.0);
+    let world = (rotation_before * way + level_after * way) * 0.5;
+    Isometry3::from_parts(
+        Translation3::from(rotation_before.inverse() * world),
+        rotation_before.inverse() * rotation_after,
+    )
+}
+
+/// Covariance of `world_from_before ⊕ motion`, equation (2) of the paper.
+pub fn predicted_covariance(
+    world_from_before: &Isometry3<f64>,
+    covariance: &Matrix6<f64>,
+    motion: &Isometry3<f64>,
+    motion_covariance: &Matrix6<f64>,
+) -> Matrix6<f64> {
+    let f_x = first_jacobian(world_from_before, &(world_from_before * motion));
+    let f_u = second_jacobian(world_from_before);
+    symmetric(&(f_x * covariance * f_x.transpose() + f_u * motion_covariance * f_u.transpose()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::perturbation::least_eigenvalue;
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn covariance_is_positive_for_any_motion(
+            t in prop::array::uniform3(-8.0..8.0f64), turn in -3.0..3.0f64
+        ) {
+            let mut motion = Motion::default();
+            motion.append(&Isometry3::new(Vector3::from(t), Vector3::z() * turn));
+            prop_assert!(least_eigenvalue(&OdometryNoise::default().covariance(&motion)) > 0.0);
+        }
+
+        #[test]
+        fn noise_does_not_depend_on_how_a_straight_way_is_cut(pieces in 1..40_usize) {
+            let mut whole = Motion::default();
+            whole.append(&Isometry3::translation(2.0, 0.0, 0.0));
+            let mut cut = Motion::default();
+            for _ in 0..pieces {
+                cut.append(&Isometry3::translation(2.0 / pieces as f64, 0.0, 0.0));
+            }
+            let noise = OdometryNoise::default();
+            prop_assert!((noise.covariance(&whole) - noise.covariance(&cut)).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn driving_up_a_slope_climbs() {
+        let up = (0.0, -0.2);
+        let level = tilted_increment(1.0, 0.0, 0.3, (0.0, 0.0), (0.0, 0.0));
+        assert_eq!(level.translation.vector, Vector3::x());
+        let world = UnitQuaternion::from_euler_angles(up.0, up.1, 0.0)
+            * tilted_increment(1.0, 0.0, 0.0, up, up).translation.vector;
+        assert!((world.z - 0.2_f64.sin()).abs() < 1e-12);
+        let turned = UnitQuaternion::from_euler_angles(up.0, up.1, 0.0)
+            * tilted_increment(0.0, 0.0, 0.3, up, (0.05, 0.1)).rotation;
+        assert!(turned.angle_to(&UnitQuaternion::from_euler_angles(0.05, 0.1, 0.3)) < 1e-12);
+    }
+
+    #[test]
+    fn a_way_out_and_back_is_not_certain() {
+        let mut motion = Motion::default();
+        motion.append(&Isometry3::translation(3.0, 0.0, 0.0));
+        motion.append(&Isometry3::from_parts(
+            Vector3::new(-3.0, 0.0, 0.0).into(),
+            UnitQuaternion::identity(),
+        ));
+        assert!(motion.before_from_after.translation.vector.norm() < 1e-12);
+        assert!(OdometryNoise::default().covariance(&motion)[(0, 0)] > 0.2 * 0.2);
+    }
+}

@@ -1,0 +1,138 @@
+//! From wheel and inertial readings to one increment of motion at a time.
+
+use crate::geometry::wrap_pi;
+use crate::mapping::tilted_increment;
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+/// A planar pose: x and y in metres, heading in radians, left positive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlanarPose {
+    /// Along the first heading.
+    pub x_m: f64,
+    /// To its left.
+    pub y_m: f64,
+    /// Heading.
+    pub heading_rad: f64,
+}
+
+/// Attitude of the body as an inertial unit gives it: roll, pitch and heading of `Rz Ry Rx`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BodyAttitude {
+    /// About x, right side down positive.
+    pub roll_rad: f64,
+    /// About y, nose down positive.
+    pub pitch_rad: f64,
+    /// About z, left positive.
+    pub heading_rad: f64,
+}
+
+/// Joins wheel odometry and inertial attitude into increments.
+///
+/// The wheels say how far, the inertial unit says how much the robot turned: skid-steered wheels
+/// count a turn that the ground gives them only in part. Without an inertial unit the wheels say
+/// both. Where wheels are missing there is no increment at all: INS positions start from the truth
+/// and are not used.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MotionTracker {
+    wheels: Option<PlanarPose>,
+    attitude: Option<BodyAttitude>,
+    /// Attitude at the time of `wheels`.
+    attitude_at_wheels: Option<BodyAttitude>,
+}
+
+impl MotionTracker {
+    /// Takes in an attitude reading.
+    pub fn attitude(&mut self, attitude: BodyAttitude) {
+        self.attitude = Some(attitude);
+    }
+
+    /// The last attitude read.
+    pub fn last_attitude(&self) -> Option<BodyAttitude> {
+        self.attitude
+    }
+
+    /// Takes in a wheel odometry pose; gives the robot's pose now in its own frame at the reading
+    /// before. `None` for the first reading, which is only the origin.
+    pub fn wheels(&mut self, wheels: PlanarPose) -> Option<Isometry3<f64>> {
+        let before = self.wheels.replace(wheels);
+        let attitude_before = std::mem::replace(&mut self.attitude_at_wheels, self.attitude);
+        let before = before?;
+        let wheel_turn = wrap_pi(wheels.heading_rad - before.heading_rad);
+        // The chord of the arc the wheels drove, seen from half way through the turn.
+        let (sin, cos) = (before.heading_rad + 0.5 * wheel_turn).sin_cos();
+        let (dx, dy) = (wheels.x_m - before.x_m, wheels.y_m - before.y_m);
+        let (along, across) = (cos * dx + sin * dy, cos * dy - sin * dx);
+        let (turn, level_before, level_after) = match (attitude_before, self.attitude) {
+            (Some(a), Some(b)) => (
+                wrap_pi(b.heading_rad - a.heading_rad),
+                (a.roll_rad, a.pitch_rad),
+                (b.roll_rad, b.pitch_rad),
+            ),
+            _ => (wheel_turn, (0.0, 0.0), (0.0, 0.0)),
+        };
+        let (sin, cos) = (0.5 * turn).sin_cos();
+        Some(tilted_increment(
+            cos * along - sin * across,
+            sin * along + cos * across,
+            turn,
+            level_before,
+            level_after,
+        ))
+    }
+
+    /// Forgets the last wheel reading: after a reconnect the odometry of a new robot starts at zero.
+    pub fn restart_wheels(&mut self) {
+        *self = Self::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::FRAC_PI_2;
+
+    fn pose(x_m: f64, y_m: f64, heading_rad: f64) -> PlanarPose {
+        PlanarPose { x_m, y_m, heading_rad }
+    }
+
+    #[test]
+    fn wheels_alone_reproduce_their_own_pose() {
+        let mut tracker = MotionTracker::default();
+        let mut world = Isometry3::identity();
+        let (mut x, mut y, mut heading) = (0.0_f64, 0.0_f64, 0.3_f64);
+        tracker.wheels(pose(x, y, heading));
+        for _ in 0..200 {
+            let turn = 0.02;
+            x += 0.05 * (heading + 0.5 * turn).cos();
+            y += 0.05 * (heading + 0.5 * turn).sin();
+            heading += turn;
+            world *= tracker.wheels(pose(x, y, wrap_pi(heading))).unwrap();
+        }
+        let expected = nalgebra::Rotation2::new(-0.3) * nalgebra::Vector2::new(x, y);
+        assert!((world.translation.vector.xy() - expected).norm() < 1e-9);
+    }
+
+    #[test]
+    fn the_inertial_heading_overrules_slipping_wheels() {
+        let mut tracker = MotionTracker::default();
+        tracker.attitude(BodyAttitude::default());
+        tracker.wheels(pose(0.0, 0.0, 0.0));
+        tracker.attitude(BodyAttitude { heading_rad: 0.5, ..Default::default() });
+        let increment = tracker.wheels(pose(0.0, 0.0, FRAC_PI_2)).unwrap();
+        assert!((increment.rotation.euler_angles().2 - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn driving_up_a_slope_gains_height() {
+        let mut tracker = MotionTracker::default();
+        let nose_up = BodyAttitude { pitch_rad: -0.3, ..Default::default() };
+        tracker.attitude(nose_up);
+        tracker.wheels(pose(0.0, 0.0, 0.0));
+        tracker.attitude(nose_up);
+        let increment = tracker.wheels(pose(1.0, 0.0, 0.0)).unwrap();
+        let world = nalgebra::UnitQuaternion::from_euler_angles(0.0, -0.3, 0.0)
+            * increment.translation.vector;
+        assert!((world.z - 0.3_f64.sin()).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,248 @@
+use super::footprint::Footprint;
+use super::stuck::Trouble;
+use super::trail::Trail;
+use super::{DriveCommand, Pose2};
+use crate::geometry::wrap_pi;
+use crate::terrain::{Grid, RobotShape};
+use crate::time::{Arrival, Span};
+use serde::{Deserialize, Serialize};
+
+/// Bounds of each rung of the ladder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RecoveryConfig {
+    /// Time to stand before anything is tried, in seconds. [0, 10]
+    pub pause_s: f64,
+    /// Distance to back out over the own track, in metres. [0.1, 2]
+    pub back_m: f64,
+    /// Distance of the second, longer attempt, in metres. [0.1, 5]
+    pub back_farther_m: f64,
+    /// Speed of backing out in m/s. (0, 0.5]
+    pub back_mps: f64,
+    /// Turn to either side that is tried to get free, in radians. [0.1, 2]
+    pub turn_rad: f64,
+    /// Turn rate in rad/s. (0, 2]
+    pub turn_rps: f64,
+    /// Longest time for any one rung, in seconds. [1, 60]
+    pub rung_s: f64,
+}
+
+impl Default for RecoveryConfig {
+    fn default() -> Self {
+        Self {
+            pause_s: 1.0,
+            back_m: 0.4,
+            back_farther_m: 1.0,
+            back_mps: 0.15,
+            turn_rad: 0.5,
+            turn_rps: 0.5,
+            rung_s: 8.0,
+        }
+    }
+}
+
+/// The rungs of the ladder, in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rung {
+    /// Stand and let what moved come to rest.
+    Pause,
+    /// Back out over the own track.
+    BackOut,
+    /// Turn a little to the left, where there is room.
+    TurnLeft,
+    /// Turn a little to the right, where there is room.
+    TurnRight,
+    /// Back out once more, farther.
+    BackFarther,
+}
+
+/// What to do now.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum RecoveryStep {
+    /// Go on with this rung.
+    Try(Rung, DriveCommand),
+    /// The robot moved: plan anew, and avoid what it was heading for.
+    Recovered,
+    /// Nothing helped: stand still and ask the operator.
+    GaveUp,
+}
+
+/// One run down the ladder. Ends by itself: every rung has a longest time and distance.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Recovery {
+    config: RecoveryConfig,
+    footprint: Footprint,
+    leaning: bool,
+    rung: Rung,
+    since: Arrival,
+    from: Pose2,
+}
+
+impl Recovery {
+    /// Starts at the first rung. A leaning robot only pauses and backs out: turning could tip it.
+    pub fn new(
+        config: RecoveryConfig,
+        shape: &RobotShape,
+        edge_margin_m: f64,
+        trouble: &Trouble,
+        now: Arrival,
+        pose: &Pose2,
+    ) -> Self {
+        Self {
+            config,
+            footprint: Footprint::new(shape, edge_margin_m),
+            leaning: matches!(trouble, Trouble::Tilted { .. }),
+            rung: Rung::Pause,
+            since: now,
+            from: *pose,
+        }
+    }
+
+    /// The rung being tried.
+    pub fn rung(&self) -> Rung {
+        self.rung
+    }
+
+    /// The next command, for a robot at `pose` with this track behind it.
+    pub fn step(&mut self, now: Arrival, pose: &Pose2, trail: &Trail, grid: &Grid) -> RecoveryStep {
+        loop {
+            let spent = now - self.since;
+            let moved_m = pose.distance_m(&self.from.point());
+            let turned_rad = wrap_pi(pose.yaw_rad - self.from.yaw_rad);
+            let in_time = spent < Span::from_seconds(self.config.rung_s);
+            let command = match self.rung {
+                Rung::Pause => {
+                    (spent < Span::from_seconds(self.config.pause_s)).then_some(DriveCommand::STOP)
+                }
+                Rung::BackOut | Rung::BackFarther => {
+                    let goal_m = if self.rung == Rung::BackOut {
+                        self.config.back_m
+                    } else {
+                        self.config.back_farther_m
+                    };
+                    if moved_m >= 0.9 * goal_m {
+                        return RecoveryStep::Recovered;
+                    }
+                    let back = trail.back_out(pose, self.config.back_mps, self.config.turn_rps);
+                    // Half the way is a success when the time or the track ends.
+                    if (back.is_none() || !in_time) && moved_m >= 0.5 * goal_m {
+                        return RecoveryStep::Recovered;
+                    }
+                    back.filter(|_| in_time)
+                }
+                Rung::TurnLeft | Rung::TurnRight => {
+                    let sign = if self.rung == Rung::TurnLeft { 1.0 } else { -1.0 };
+                    let rest_rad = self.config.turn_rad - sign * turned_rad;
+                    if rest_rad < 0.1 {
+                        return RecoveryStep::Recovered;
+                    }
+                    let free = !self.leaning
+                        && in_time
+                        && self.footprint.turn_conflict(grid, pose, sign * rest_rad).is_none();
+                    free.then_some(DriveCommand {
+                        linear_mps: 0.0,
+                        angular_rps: sign * self.config.turn_rps,
+                    })
+                }
+            };
+            match command {
+                Some(command) => return RecoveryStep::Try(self.rung, command),
+                None => {
+                    self.rung = match self.rung {
+                        Rung::Pause => Rung::BackOut,
+                        Rung::BackOut => Rung::TurnLeft,
+                        Rung::TurnLeft => Rung::TurnRight,
+                        Rung::TurnRight => Rung::BackFarther,
+                        Rung::BackFarther => return RecoveryStep::GaveUp,
+                    };
+                    self.since = now;
+                    self.from = *pose;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::terrain::{CellClass, CellIndex, GridCell};
+
+    fn open_grid() -> Grid {
+        let cell = GridCell {
+            class: CellClass::Free,
+            height_m: 0.0,
+            room_m: 1.5,
+            reachable: true,
+            ..GridCell::default()
+        };
+        Grid::from_cells(0.05, CellIndex { x: -100, y: -100 }, 200, vec![cell; 40_000])
+    }
+
+    fn track() -> Trail {
+        let mut trail = Trail::default();
+        for step in 0..40 {
+            trail.note(&Pose2 { x_m: 0.05 * f64::from(step), y_m: 0.0, yaw_rad: 0.0 });
+        }
+        trail
+    }
+
+    /// Runs a recovery at 5 Hz; `grip` scales the robot's motion. Returns the end, seconds, rungs.
+    fn run(trouble: Trouble, trail: &Trail, grip: f64) -> (RecoveryStep, f64, Vec<Rung>, Pose2) {
+        let mut trail = trail.clone();
+        let mut pose = Pose2 { x_m: 1.95, y_m: 0.0, yaw_rad: 0.0 };
+        let shape = RobotShape::default();
+        let config = RecoveryConfig::default();
+        let mut recovery = Recovery::new(config, &shape, 0.15, &trouble, Arrival(0), &pose);
+        let mut rungs = Vec::new();
+        for tick in 0..1000 {
+            let now = Arrival::from_seconds(0.2 * f64::from(tick));
+            match recovery.step(now, &pose, &trail, &open_grid()) {
+                RecoveryStep::Try(rung, command) => {
+                    if rungs.last() != Some(&rung) {
+                        rungs.push(rung);
+                    }
+                    let (v, w) = (command.linear_mps, command.angular_rps);
+                    pose = pose.driven(0.2 * grip * v, 0.2 * grip * w);
+                    trail.note(&pose);
+                }
+                end => return (end, now.seconds(), rungs, pose),
+            }
+        }
+        panic!("a recovery must end");
+    }
+
+    const STUCK: Trouble = Trouble::Stuck { commanded: 1.0, moved: 0.0 };
+
+    #[test]
+    fn a_robot_that_can_move_backs_out_over_its_track() {
+        let (end, seconds, rungs, pose) = run(STUCK, &track(), 1.0);
+        assert_eq!(end, RecoveryStep::Recovered);
+        assert_eq!(rungs, [Rung::Pause, Rung::BackOut]);
+        assert!(seconds < 5.0 && pose.x_m < 1.65 && pose.y_m.abs() < 0.01);
+    }
+
+    #[test]
+    fn a_robot_that_cannot_move_gives_up_in_bounded_time() {
+        let (end, seconds, rungs, _) = run(STUCK, &track(), 0.0);
+        assert_eq!(end, RecoveryStep::GaveUp);
+        assert_eq!(rungs.len(), 5, "every rung was tried: {rungs:?}");
+        assert!(seconds < 40.0);
+    }
+
+    #[test]
+    fn a_leaning_robot_does_not_turn() {
+        let trouble = Trouble::Tilted { roll_rad: 0.5, pitch_rad: 0.0 };
+        let (_, _, rungs, _) = run(trouble, &track(), 0.0);
+        assert_eq!(rungs, [Rung::Pause, Rung::BackOut, Rung::BackFarther]);
+    }
+
+    #[test]
+    fn without_a_track_it_does_not_drive_backwards() {
+        let (end, _, rungs, pose) = run(STUCK, &Trail::default(), 1.0);
+        assert_eq!(end, RecoveryStep::Recovered);
+        assert_eq!(rungs, [Rung::Pause, Rung::TurnLeft]);
+        assert!((pose.x_m - 1.95).abs() < 1e-9);
+    }
+}

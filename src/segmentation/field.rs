@@ -1,0 +1,301 @@
+//! The scan as segmentation works on it: arrays by coordinate, the finer direction first.
+//!
+//! Nothing is assumed about which end of the grid is up or left, or whether rows or columns are the
+//! tilts. Neighbours in the grid are neighbours in angle, and one of the two directions is sampled
+//! more finely than the other: that one is *along*, the other *across*. A *lane* is a line of cells
+//! along; a *step* is a position on all lanes. On the project's own scanner the lanes are the
+//! columns (beams) and the steps are the rows (tilts).
+
+use super::noise::RangeNoise;
+use crate::scan::PointGrid;
+
+/// Nearer points than this are the zeros that some drivers give for "no return", in metres.
+const NEAREST_M: f32 = 1e-3;
+/// Share of the greatest range from which on a return may be a saturated reading.
+const SATURATED: f32 = 0.9985;
+/// Pairs of cells that are looked at to measure one angular pitch.
+const PITCH_SAMPLES: usize = 256;
+/// Lanes that are looked at to measure the pitch between two steps.
+const LANE_SAMPLES: usize = 9;
+
+/// One scan, step after step; all arrays are `steps * lanes` long.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Field {
+    pub steps: usize,
+    pub lanes: usize,
+    /// Whether the lanes are rows of the grid, not columns.
+    pub transposed: bool,
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    pub z: Vec<f32>,
+    /// Distance from the origin in metres; zero where there is no return.
+    pub range: Vec<f32>,
+    /// One over the range; zero where there is no return.
+    pub inverse: Vec<f32>,
+    /// Angle from the first step to each step in radians, as far as it can be told.
+    pub positions: Vec<f32>,
+    pub along_rad: f32,
+    pub across_rad: f32,
+    /// Readings at the scanner's limit that were taken as no return.
+    pub saturated: usize,
+    /// Noise of the ranges.
+    pub noise: RangeNoise,
+    samples: Vec<f32>,
+}
+
+impl Field {
+    pub fn len(&self) -> usize {
+        self.steps * self.lanes
+    }
+
+    pub fn is_valid(&self, cell: usize) -> bool {
+        self.range[cell] > 0.0
+    }
+
+    /// Standard deviation of the range of a cell in metres.
+    pub fn sigma_m(&self, cell: usize) -> f64 {
+        self.noise.sigma_m(f64::from(self.range[cell]))
+    }
+
+    pub fn point(&self, cell: usize) -> [f64; 3] {
+        [f64::from(self.x[cell]), f64::from(self.y[cell]), f64::from(self.z[cell])]
+    }
+
+    /// The index in the grid of a cell of the field.
+    pub fn grid_index(&self, cell: usize) -> usize {
+        if self.transposed { (cell % self.lanes) * self.steps + cell / self.lanes } else { cell }
+    }
+
+    /// Takes over a grid.
+    pub fn load(&mut self, grid: &PointGrid) {
+        let (rows, columns) = (grid.rows(), grid.columns());
+        let down = median_pitch(grid.points(), columns, 1, 0, &mut self.samples);
+        let right = median_pitch(grid.points(), columns, 0, 1, &mut self.samples);
+        // Equal pitches, or none that can be told, leave the columns as lanes.
+        self.transposed = right < down;
+        let points = grid.points();
+        if self.transposed {
+            (self.steps, self.lanes) = (columns, rows);
+            self.fill((0..columns).flat_map(|c| (0..rows).map(move |r| points[r * columns + c])));
+            (self.along_rad, self.across_rad) = (right, down);
+        } else {
+            (self.steps, self.lanes) = (rows, columns);
+            self.fill(points.iter().copied());
+            (self.along_rad, self.across_rad) = (down, right);
+        }
+        if !self.along_rad.is_finite() {
+            self.along_rad = if self.across_rad.is_finite() { self.across_rad } else { 0.01 };
+        }
+        if !self.across_rad.is_finite() {
+            self.across_rad = self.along_rad;
+        }
+        self.drop_saturated();
+        self.measure_positions();
+    }
+
+    fn fill(&mut self, points: impl Iterator<Item = [f32; 3]>) {
+        for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.range, &mut self.inverse] {
+            array.clear();
+        }
+        for [x, y, z] in points {
+            let range = (x * x + y * y + z * z).sqrt();
+            let valid = range > NEAREST_M && range < f32::MAX;
+            let (range, inverse) = if valid { (range, 1.0 / range) } else { (0.0, 0.0) };
+            self.x.push(if valid { x } else { 0.0 });
+            self.y.push(if valid { y } else { 0.0 });
+            self.z.push(if valid { z } else { 0.0 });
+            self.range.push(range);
+            self.inverse.push(inverse);
+        }
+    }
+
+    /// Takes readings at the scanner's limit out.
+    ///
+    /// Some drivers give the limit where nothing came back. Those points lie on a sphere about the
+    /// sensor. A wall can have many points within 0.15 % of the greatest range too, but only within
+    /// acos(1 / 1.0015) = 3.1° of its foot: the mean of their directions is nearly of unit length.
+    fn drop_saturated(&mut self) {
+        self.saturated = 0;
+        let greatest = self.range.iter().copied().fold(0.0, f32::max);
+        let limit = SATURATED * greatest;
+        let mut sum = [0.0_f64; 3];
+        let mut count = 0_usize;
+        for cell in 0..self.len() {
+            if self.range[cell] >= limit && self.range[cell] > 0.0 {
+                let scale = f64::from(self.inverse[cell]);
+                for (sum, value) in sum.iter_mut().zip(self.point(cell)) {
+                    *sum += value * scale;
+                }
+                count += 1;
+            }
+        }
+        let length = sum.iter().map(|s| s * s).sum::<f64>().sqrt();
+        if count < 32 || length > 0.998 * count as f64 {
+            return;
+        }
+        for cell in 0..self.len() {
+            if self.range[cell] >= limit {
+                (self.x[cell], self.y[cell], self.z[cell]) = (0.0, 0.0, 0.0);
+                (self.range[cell], self.inverse[cell]) = (0.0, 0.0);
+            }
+        }
+        self.saturated = count;
+    }
+
+    /// The angle of each step from the first: tilts need not be evenly spaced.
+    fn measure_positions(&mut self) {
+        self.positions.clear();
+        let mut position = 0.0;
+        for step in 0..self.steps {
+            self.positions.push(position);
+            if step + 1 == self.steps {
+                break;
+            }
+            self.samples.clear();
+            let stride = self.lanes.div_ceil(LANE_SAMPLES).max(1);
+            for lane in (stride / 2..self.lanes).step_by(stride) {
+                let a = step * self.lanes + lane;
+                let b = a + self.lanes;
+                if self.is_valid(a) && self.is_valid(b) {
+                    self.samples.push(self.chord(a, b));
+                }
+            }
+            let gap = median(&mut self.samples).unwrap_or(self.along_rad);
+            // Equal rows would make filters singular.
+            position += gap.max(0.05 * self.along_rad).max(1e-6);
+        }
+    }
+
+    /// Distance of the unit directions of two valid cells.
+    fn chord(&self, a: usize, b: usize) -> f32 {
+        chord(
+            [self.x[a], self.y[a], self.z[a]].map(|v| v * self.inverse[a]),
+            [self.x[b], self.y[b], self.z[b]].map(|v| v * self.inverse[b]),
+        )
+    }
+}
+
+fn chord(a: [f32; 3], b: [f32; 3]) -> f32 {
+    let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+    (x * x + y * y + z * z).sqrt()
+}
+
+/// Median angle between neighbours `(down, right)` cells apart; infinite where there are none.
+fn median_pitch(
+    points: &[[f32; 3]],
+    columns: usize,
+    down: usize,
+    right: usize,
+    samples: &mut Vec<f32>,
+) -> f32 {
+    samples.clear();
+    let rows = points.len().checked_div(columns).unwrap_or(0);
+    let (rows_left, columns_left) = (rows.saturating_sub(down), columns.saturating_sub(right));
+    let pairs = rows_left * columns_left;
+    // A stride without a factor in common with the row length visits all columns.
+    let mut stride = (pairs / (4 * PITCH_SAMPLES)).max(1);
+    while stride > 1 && columns_left.is_multiple_of(stride) {
+        stride += 1;
+    }
+    for pair in (0..pairs).step_by(stride) {
+        let (row, column) = (pair / columns_left, pair % columns_left);
+        let unit = |cell: usize| {
+            let [x, y, z] = points[cell];
+            let range = (x * x + y * y + z * z).sqrt();
+            (range > NEAREST_M && range < f32::MAX).then(|| [x, y, z].map(|v| v / range))
+        };
+        let a = unit(row * columns + column);
+        let b = unit((row + down) * columns + column + right);
+        if let (Some(a), Some(b)) = (a, b) {
+            samples.push(chord(a, b));
+        }
+    }
+    median(samples).map_or(f32::INFINITY, |pitch| pitch.max(1e-6))
+}
+
+/// The middle value (the upper of two); reorders `values`.
+pub(super) fn median(values: &mut [f32]) -> Option<f32> {
+    if values.is_empty() {
+        return None;
+    }
+    let middle = values.len() / 2;
+    Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall at x = 3 m seen through `rows x columns` beams of the given pitches.
+    fn wall(rows: usize, columns: usize, row_rad: f32, column_rad: f32) -> Vec<[f32; 3]> {
+        (0..rows * columns)
+            .map(|i| {
+                let tilt = (i / columns) as f32 * row_rad;
+                let bearing = (i % columns) as f32 * column_rad;
+                [3.0, 3.0 * bearing.tan(), -3.0 * tilt.tan() / bearing.cos()]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_finer_direction_is_along() {
+        let mut field = Field::default();
+        field.load(&PointGrid::new(40, 30, wall(40, 30, 0.004, 0.017)));
+        assert!(!field.transposed);
+        assert!((field.along_rad - 0.004).abs() < 2e-4 && (field.across_rad - 0.017).abs() < 6e-4);
+        field.load(&PointGrid::new(40, 30, wall(40, 30, 0.017, 0.004)));
+        assert!(field.transposed);
+        assert_eq!((field.steps, field.lanes), (30, 40));
+        assert_eq!(field.grid_index(1), 30);
+    }
+
+    #[test]
+    fn readings_at_the_limit_in_all_directions_are_no_returns() {
+        let mut points = wall(40, 30, 0.004, 0.017);
+        for (i, point) in points.iter_mut().enumerate() {
+            if i % 30 < 20 {
+                let range = point.iter().map(|v| v * v).sum::<f32>().sqrt();
+                *point = point.map(|v| v * 20.0 / range);
+            }
+        }
+        let mut field = Field::default();
+        field.load(&PointGrid::new(40, 30, points));
+        assert_eq!(field.saturated, 800);
+        assert_eq!((0..field.len()).filter(|&cell| field.is_valid(cell)).count(), 400);
+    }
+
+    #[test]
+    fn a_far_wall_is_not_taken_for_the_limit() {
+        let mut field = Field::default();
+        field.load(&PointGrid::new(40, 30, wall(40, 30, 0.002, 0.004)));
+        assert_eq!(field.saturated, 0);
+    }
+
+    #[test]
+    fn empty_and_zero_grids_load() {
+        let mut field = Field::default();
+        for points in [vec![[f32::NAN; 3]; 6], vec![[0.0; 3]; 6], vec![[f32::INFINITY; 3]; 6]] {
+            field.load(&PointGrid::new(2, 3, points));
+            assert!((0..6).all(|cell| !field.is_valid(cell)));
+        }
+        field.load(&PointGrid::new(0, 0, Vec::new()));
+        assert_eq!(field.len(), 0);
+    }
+
+    #[test]
+    fn uneven_steps_are_measured() {
+        let points = (0..20 * 8)
+            .map(|i| {
+                let step = i / 8;
+                let tilt =
+                    if step < 10 { step as f32 * 0.004 } else { 0.04 + (step - 10) as f32 * 0.01 };
+                let bearing = (i % 8) as f32 * 0.02;
+                [3.0, 3.0 * bearing.tan(), -3.0 * tilt.tan() / bearing.cos()]
+            })
+            .collect();
+        let mut field = Field::default();
+        field.load(&PointGrid::new(20, 8, points));
+        let gaps: Vec<f32> = field.positions.windows(2).map(|p| p[1] - p[0]).collect();
+        assert!((gaps[2] - 0.004).abs() < 2e-4 && (gaps[15] - 0.01).abs() < 6e-4, "{gaps:?}");
+    }
+}

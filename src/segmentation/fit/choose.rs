@@ -1,0 +1,127 @@
+//! Which of the three shapes a region is, by a penalised residual.
+
+use super::super::config::ShapeLimits;
+use super::cylinder::{CylinderFit, fit_cylinder};
+use super::sphere::{SphereFit, fit_sphere};
+use super::{Fitted, Model, PlaneFit, Readings, fit_plane};
+use nalgebra::{Matrix5, Point3, Unit, Vector3};
+
+/// Errors beyond this many standard deviations cost no more: the cost is that of an outlier.
+const CAP: f64 = 5.0;
+
+/// The model that explains the readings at the least cost, and its mean square error.
+///
+/// The cost is the sum of squared errors, each cut at [`CAP`], plus `k ln n` for k parameters: the
+/// Bayesian information criterion with outliers. `axes` are candidates for a cylinder's axis.
+pub(in super::super) fn choose(
+    readings: &Readings,
+    axes: &[Vector3<f64>],
+    limits: &ShapeLimits,
+) -> (Fitted, f64) {
+    let mut best = (f64::INFINITY, Fitted::Other, f64::INFINITY);
+    let mut offer = |fitted: Fitted, model: &Model| {
+        let error = capped_error(readings, model);
+        let cost = error + model.parameters() * (readings.len() as f64).ln();
+        if cost < best.0 {
+            best = (cost, fitted, error / readings.len() as f64);
+        }
+    };
+    let plane = fit_plane(readings);
+    let flat = plane.as_ref().is_some_and(|plane| plane_is_enough(readings, plane));
+    if let Some(plane) = plane {
+        let model = plane.model();
+        offer(Fitted::Plane(plane), &model);
+    }
+    if !flat {
+        if let Some(sphere) = fit_sphere(readings).filter(|s| sphere_is_seen(readings, s, limits)) {
+            let model = sphere.model();
+            let SphereFit { centre, radius_m, covariance } = sphere;
+            offer(Fitted::Sphere { centre: Point3::from(centre), radius_m, covariance }, &model);
+        }
+        let cylinder = fit_cylinder(readings, axes);
+        if let Some(cylinder) = cylinder.filter(|c| cylinder_is_seen(readings, c, limits)) {
+            let model = cylinder.model();
+            offer(bounded(readings, cylinder), &model);
+        }
+    }
+    let (_, fitted, mean_square) = best;
+    if mean_square > limits.max_mean_square {
+        (Fitted::Other, mean_square)
+    } else {
+        (fitted, mean_square)
+    }
+}
+
+fn capped_error(readings: &Readings, model: &Model) -> f64 {
+    (0..readings.len())
+        .map(|i| {
+            let e = model.error(&readings.points[i], &readings.rays[i], readings.sigmas[i]);
+            (e * e).min(CAP * CAP)
+        })
+        .sum()
+}
+
+/// Whether the plane's errors are those of its noise, so that no other shape needs to be tried.
+fn plane_is_enough(readings: &Readings, plane: &PlaneFit) -> bool {
+    let n = readings.len() as f64;
+    capped_error(readings, &plane.model()) < n + 3.0 * (2.0 * n).sqrt()
+}
+
+/// The angle at the centre between the middle of the cap and its border, both robust: the border is
+/// that of 95 % of the readings.
+fn sphere_is_seen(readings: &Readings, sphere: &SphereFit, limits: &ShapeLimits) -> bool {
+    if sphere.radius_m > limits.max_radius_m {
+        return false;
+    }
+    let middle = (readings.centroid() - sphere.centre).normalize();
+    let outside = limits.min_cap_deg.to_radians().cos();
+    let beyond = readings
+        .points
+        .iter()
+        .filter(|p| (*p - sphere.centre).normalize().dot(&middle) < outside)
+        .count();
+    beyond * 20 >= readings.len()
+}
+
+fn cylinder_is_seen(readings: &Readings, cylinder: &CylinderFit, limits: &ShapeLimits) -> bool {
+    if cylinder.radius_m > limits.max_radius_m {
+        return false;
+    }
+    let radial = |p: &Vector3<f64>| {
+        let d = p - cylinder.foot;
+        d - cylinder.axis * cylinder.axis.dot(&d)
+    };
+    let middle = radial(&readings.centroid());
+    let side = cylinder.axis.cross(&middle);
+    let half = 0.5 * limits.min_arc_deg.to_radians();
+    // Each side of the middle must reach half the arc with 2 % of the readings.
+    let (mut left, mut right) = (0, 0);
+    for p in &readings.points {
+        let d = radial(p);
+        let angle = side.dot(&d).atan2(middle.dot(&d));
+        left += usize::from(angle > half);
+        right += usize::from(angle < -half);
+    }
+    left * 50 >= readings.len() && right * 50 >= readings.len()
+}
+
+/// The cylinder with the extent of the readings along its axis.
+fn bounded(readings: &Readings, cylinder: CylinderFit) -> Fitted {
+    let CylinderFit { foot, axis, radius_m, covariance } = cylinder;
+    let heights = readings.points.iter().map(|p| axis.dot(&(p - foot)));
+    let (low, high) =
+        heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let middle = 0.5 * (low + high);
+    // The offset at the middle is that at the foot and what the tilt adds on the way.
+    let mut at_middle = Matrix5::identity();
+    at_middle[(0, 2)] = middle;
+    at_middle[(1, 3)] = middle;
+    let covariance = at_middle * covariance * at_middle.transpose();
+    Fitted::Cylinder {
+        axis_point: Point3::from(foot + axis * middle),
+        axis: Unit::new_normalize(axis),
+        radius_m,
+        length_m: high - low,
+        covariance,
+    }
+}

@@ -1,0 +1,123 @@
+//! The circular cylinder of any axis: starts from candidate axes, then Gauss-Newton on the distance.
+
+use super::plane::largest_positive;
+use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, Readings};
+use nalgebra::{Matrix3, Matrix5, SVector, Vector3};
+
+const ROUNDS: usize = 10;
+
+/// A fitted cylinder.
+pub(super) struct CylinderFit {
+    /// The point of the axis nearest to the centroid of the readings.
+    pub foot: Vector3<f64>,
+    pub axis: Vector3<f64>,
+    pub radius_m: f64,
+    pub covariance: Matrix5<f64>,
+}
+
+impl CylinderFit {
+    pub fn model(&self) -> Model {
+        Model::Cylinder { foot: self.foot, axis: self.axis, radius_m: self.radius_m }
+    }
+}
+
+/// Fits a cylinder from the best of the candidate axes; `None` where none leads anywhere.
+pub(super) fn fit_cylinder(readings: &Readings, axes: &[Vector3<f64>]) -> Option<CylinderFit> {
+    let centroid = readings.centroid();
+    let start = axes
+        .iter()
+        .filter_map(|axis| circle_across(readings, &centroid, axis))
+        .min_by(|a, b| a.mean_square.total_cmp(&b.mean_square))?;
+    refine(readings, &centroid, start)
+}
+
+struct Start {
+    axis: Vector3<f64>,
+    foot: Vector3<f64>,
+    radius_m: f64,
+    mean_square: f64,
+}
+
+/// Two unit vectors that complete `axis` to a frame: the first is `axis × e`, with `e` the
+/// coordinate axis that `axis` has least of, the second `axis ×` the first.
+fn across(axis: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+    let least = axis.iamin();
+    let mut helper = Vector3::zeros();
+    helper[least] = 1.0;
+    let e1 = axis.cross(&helper).normalize();
+    (e1, axis.cross(&e1))
+}
+
+/// The circle through the readings seen along `axis`, algebraically.
+fn circle_across(
+    readings: &Readings,
+    centroid: &Vector3<f64>,
+    axis: &Vector3<f64>,
+) -> Option<Start> {
+    let axis = axis.try_normalize(1e-9)?;
+    let (e1, e2) = across(&axis);
+    let mut normal = Matrix3::<f64>::zeros();
+    let mut right = Vector3::<f64>::zeros();
+    for p in &readings.points {
+        let d = p - centroid;
+        let (a, b) = (e1.dot(&d), e2.dot(&d));
+        let row = Vector3::new(2.0 * a, 2.0 * b, 1.0);
+        normal += row * row.transpose();
+        right += row * (a * a + b * b);
+    }
+    let solution = normal.cholesky()?.solve(&right);
+    let radius_m = (solution.z + solution.x * solution.x + solution.y * solution.y).sqrt();
+    let foot = centroid + e1 * solution.x + e2 * solution.y;
+    let model = Model::Cylinder { foot, axis, radius_m };
+    let mean_square = readings.points.iter().map(|p| model.distance(p).0.powi(2)).sum::<f64>()
+        / readings.len().max(1) as f64;
+    mean_square.is_finite().then_some(Start { axis, foot, radius_m, mean_square })
+}
+
+fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<CylinderFit> {
+    let Start { mut axis, mut foot, mut radius_m, .. } = start;
+    let mut fit = None;
+    for round in 0..ROUNDS {
+        let gate = if round < 4 { f64::INFINITY } else { GATE };
+        axis = largest_positive(axis);
+        let (e1, e2) = across(&axis);
+        let mut normal = Matrix5::<f64>::zeros();
+        let mut right = SVector::<f64, 5>::zeros();
+        let (mut square, mut count) = (0.0, 0.0);
+        for i in 0..readings.len() {
+            let d = readings.points[i] - foot;
+            let height = axis.dot(&d);
+            let radial = d - axis * height;
+            let length = radial.norm().max(1e-9);
+            let n = radial / length;
+            let cosine = n.dot(&readings.rays[i]).abs().max(LEAST_COSINE);
+            let scale = 1.0 / (readings.sigmas[i] * cosine);
+            let e = (length - radius_m) * scale;
+            if e.abs() > gate {
+                continue;
+            }
+            // Moving the axis by a and tilting it by b (per metre of height) moves it at the
+            // reading by a + height b; the distance falls by that along n, and by the radius.
+            let (n1, n2) = (n.dot(&e1), n.dot(&e2));
+            let j = SVector::<f64, 5>::new(n1, n2, height * n1, height * n2, 1.0) * scale;
+            normal += j * j.transpose();
+            right += j * e;
+            square += e * e;
+            count += 1.0;
+        }
+        let inverse = normal.cholesky()?.inverse();
+        let correction = inverse * right;
+        foot += e1 * correction[0] + e2 * correction[1];
+        axis = (axis + e1 * correction[2] + e2 * correction[3]).normalize();
+        foot += axis * axis.dot(&(centroid - foot));
+        radius_m += correction[4];
+        if !(radius_m > 0.0 && radius_m < 1e3) {
+            return None;
+        }
+        let left = (square - right.dot(&correction)).max(0.0);
+        let expected = if gate.is_finite() { GATED_VARIANCE } else { 1.0 };
+        let mean_square = left / ((count - 5.0_f64).max(1.0) * expected);
+        fit = Some(inverse * mean_square.max(1.0));
+    }
+    Some(CylinderFit { foot, axis, radius_m, covariance: fit? })
+}

@@ -1,0 +1,137 @@
+//! Least-squares fits of planes, spheres and cylinders to the points of one region.
+//!
+//! A reading errs along its ray, so its error across a surface of normal `n` is the range noise
+//! times `|n · u|`, `u` being the ray's direction. All fits weight by it; on a floor seen at a
+//! grazing angle that is a factor of ten between near and far, and the difference between an
+//! unweighted fit and the information that is there.
+
+mod choose;
+mod cylinder;
+mod plane;
+mod sphere;
+
+pub(super) use choose::choose;
+pub(super) use plane::{PlaneFit, fit_plane};
+
+use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, Unit, Vector3};
+
+/// Least cosine of the angle of incidence that weights believe in: beyond 87° the error is no
+/// longer that of the range but of the ray's angle.
+const LEAST_COSINE: f64 = 0.05;
+/// Readings farther from the surface than this many standard deviations do not count in a fit.
+const GATE: f64 = 3.0;
+/// Standard deviation left inside the gate of ±3 of a normal distribution, squared.
+const GATED_VARIANCE: f64 = 0.9733;
+
+/// The readings of one region, gathered so that fits run over plain arrays.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Readings {
+    pub points: Vec<Vector3<f64>>,
+    /// Unit vectors of the rays.
+    pub rays: Vec<Vector3<f64>>,
+    /// Standard deviation of each range in metres.
+    pub sigmas: Vec<f64>,
+    /// Whether a reading is far from the region's border to another surface. Which region a border
+    /// reading belongs to was decided by its error, so it would bias a fit.
+    pub core: Vec<bool>,
+}
+
+impl Readings {
+    pub fn clear(&mut self) {
+        self.points.clear();
+        self.rays.clear();
+        self.sigmas.clear();
+        self.core.clear();
+    }
+
+    pub fn push(&mut self, point: [f64; 3], inverse: f64, sigma: f64, core: bool) {
+        let point = Vector3::from(point);
+        self.points.push(point);
+        self.rays.push(point * inverse);
+        self.sigmas.push(sigma);
+        self.core.push(core);
+    }
+
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    pub fn centroid(&self) -> Vector3<f64> {
+        self.points.iter().sum::<Vector3<f64>>() / self.len().max(1) as f64
+    }
+
+    /// Scatter about the centroid, divided by the number of points.
+    fn covariance(&self, centroid: &Vector3<f64>) -> Matrix3<f64> {
+        let sum: Matrix3<f64> = self
+            .points
+            .iter()
+            .map(|p| {
+                let d = p - centroid;
+                d * d.transpose()
+            })
+            .sum();
+        sum / self.len().max(1) as f64
+    }
+}
+
+/// A surface as the choice between readings sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Model {
+    Plane { normal: Vector3<f64>, offset_m: f64 },
+    Sphere { centre: Vector3<f64>, radius_m: f64 },
+    Cylinder { foot: Vector3<f64>, axis: Vector3<f64>, radius_m: f64 },
+}
+
+impl Model {
+    /// Signed distance of a point from the surface and the surface's normal there.
+    pub fn distance(&self, p: &Vector3<f64>) -> (f64, Vector3<f64>) {
+        match self {
+            Model::Plane { normal, offset_m } => (normal.dot(p) - offset_m, *normal),
+            Model::Sphere { centre, radius_m } => {
+                let radial = p - centre;
+                let length = radial.norm().max(1e-9);
+                (length - radius_m, radial / length)
+            }
+            Model::Cylinder { foot, axis, radius_m } => {
+                let d = p - foot;
+                let radial = d - axis * axis.dot(&d);
+                let length = radial.norm().max(1e-9);
+                (length - radius_m, radial / length)
+            }
+        }
+    }
+
+    /// Error of a reading in standard deviations of its noise.
+    pub fn error(&self, p: &Vector3<f64>, ray: &Vector3<f64>, sigma: f64) -> f64 {
+        let (distance, normal) = self.distance(p);
+        distance / (sigma * normal.dot(ray).abs().max(LEAST_COSINE))
+    }
+
+    /// Number of parameters, the price of the model.
+    pub fn parameters(&self) -> f64 {
+        match self {
+            Model::Plane { .. } => 3.0,
+            Model::Sphere { .. } => 4.0,
+            Model::Cylinder { .. } => 5.0,
+        }
+    }
+}
+
+/// A fitted surface of any kind.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Fitted {
+    Plane(PlaneFit),
+    Sphere {
+        centre: Point3<f64>,
+        radius_m: f64,
+        covariance: Matrix4<f64>,
+    },
+    Cylinder {
+        axis_point: Point3<f64>,
+        axis: Unit<Vector3<f64>>,
+        radius_m: f64,
+        length_m: f64,
+        covariance: Matrix5<f64>,
+    },
+    Other,
+}

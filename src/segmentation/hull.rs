@@ -1,0 +1,123 @@
+//! Convex hulls of many points in a plane, without allocation.
+
+use nalgebra::Point2;
+
+/// Directions in which extreme points are sought; what lies inside their polygon is no vertex.
+const DIRECTIONS: usize = 16;
+
+/// Buffers of the hull.
+#[derive(Clone, Debug, Default)]
+pub(super) struct HullFinder {
+    candidates: Vec<[f64; 2]>,
+}
+
+fn cross(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
+
+fn distance_squared(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (b[0] - a[0]).powi(2) + (b[1] - a[1]).powi(2)
+}
+
+impl HullFinder {
+    /// The convex hull of `points`, counter-clockwise from the lowest (then leftmost) point, as
+    /// [`convex_hull`](crate::geometry::convex_hull) gives it; empty where there is none.
+    ///
+    /// Jarvis's march costs O(n h), so the points that cannot be vertices are dropped first: those
+    /// strictly inside the polygon of the extreme points in sixteen directions, which is all but a
+    /// few per cent of a filled region.
+    pub fn find(&mut self, points: &[[f64; 2]], hull: &mut Vec<Point2<f64>>) {
+        hull.clear();
+        self.keep_outer(points);
+        let candidates = &mut self.candidates;
+        candidates.sort_unstable_by(|a, b| a[1].total_cmp(&b[1]).then(a[0].total_cmp(&b[0])));
+        candidates.dedup();
+        if candidates.len() < 3 {
+            return;
+        }
+        let mut current = 0;
+        // Rounding can hide the start from the march; n steps end it.
+        for _ in 0..candidates.len() {
+            let here = candidates[current];
+            hull.push(Point2::new(here[0], here[1]));
+            let mut next = usize::from(current == 0);
+            for (i, &point) in candidates.iter().enumerate() {
+                if i == current || i == next {
+                    continue;
+                }
+                let turn = cross(here, candidates[next], point);
+                let farther =
+                    || distance_squared(here, point) > distance_squared(here, candidates[next]);
+                if turn < 0.0 || (turn == 0.0 && farther()) {
+                    next = i;
+                }
+            }
+            current = next;
+            if current == 0 {
+                break;
+            }
+        }
+        if hull.len() < 3 || crate::geometry::polygon_area(hull) <= 0.0 {
+            hull.clear();
+        }
+    }
+
+    /// Copies the points that may be vertices.
+    fn keep_outer(&mut self, points: &[[f64; 2]]) {
+        self.candidates.clear();
+        let mut extremes = [[0.0; 2]; DIRECTIONS];
+        let mut reach = [f64::NEG_INFINITY; DIRECTIONS];
+        let directions: [[f64; 2]; DIRECTIONS] = std::array::from_fn(|k| {
+            let (sin, cos) = (k as f64 * std::f64::consts::TAU / DIRECTIONS as f64).sin_cos();
+            [cos, sin]
+        });
+        for point in points {
+            for k in 0..DIRECTIONS {
+                let along = directions[k][0] * point[0] + directions[k][1] * point[1];
+                if along > reach[k] {
+                    reach[k] = along;
+                    extremes[k] = *point;
+                }
+            }
+        }
+        // The extremes stand in counter-clockwise order. A point left of all edges is inside.
+        self.candidates.extend(points.iter().copied().filter(|&point| {
+            point.iter().all(|v| v.is_finite())
+                && (0..DIRECTIONS).any(|k| {
+                    let (a, b) = (extremes[k], extremes[(k + 1) % DIRECTIONS]);
+                    a != b && cross(a, b, point) <= 0.0
+                })
+        }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::convex_hull;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_hull_is_that_of_geometry(
+            raw in prop::collection::vec((-50.0..50.0, -50.0..50.0), 0..200),
+            flat in any::<bool>(),
+        ) {
+            let points: Vec<[f64; 2]> =
+                raw.iter().map(|&(x, y)| [x, if flat { 0.5 * x } else { y }]).collect();
+            let mut hull = Vec::new();
+            HullFinder::default().find(&points, &mut hull);
+            let all: Vec<Point2<f64>> = points.iter().map(|p| Point2::new(p[0], p[1])).collect();
+            prop_assert_eq!(hull, convex_hull(&all));
+        }
+    }
+
+    #[test]
+    fn few_or_equal_points_have_no_hull() {
+        let mut hull = Vec::new();
+        for points in [vec![], vec![[1.0, 1.0]; 9], vec![[0.0, 0.0], [1.0, 2.0]]] {
+            HullFinder::default().find(&points, &mut hull);
+            assert!(hull.is_empty());
+        }
+    }
+}

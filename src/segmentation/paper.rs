@@ -1,0 +1,146 @@
+//! The paper's chain (section III), each stage in a module of its own.
+//!
+//! Residual of the local least-squares plane, scaled by the noise, edges where it is too large,
+//! morphology, flood fill, a check by local normals; then, because borders are as thick as the
+//! residual's window, the cells at a border join the surface that they fit.
+
+use super::absorb::Absorber;
+use super::axes::candidate_axes;
+use super::components::Components;
+use super::config::{PaperConfig, SegmentationConfig};
+use super::field::Field;
+use super::fill::flood_fill;
+use super::fit::{Fitted, Model, Readings, choose};
+use super::merge::Merger;
+use super::morphology::Morphology;
+use super::residual::{Residual, scale};
+use super::split::Splitter;
+use super::{Stage, StageImage};
+
+/// Residual that is white in the scaled image, in standard deviations.
+const WHITE: f32 = 6.0;
+/// Fewest cells that a filled region needs to get a preliminary model.
+const FEWEST_CELLS: usize = 12;
+
+/// Buffers and stage images of the chain.
+#[derive(Clone, Debug, Default)]
+pub(super) struct PaperChain {
+    residual: Residual,
+    grey: Vec<u8>,
+    edges: Vec<u8>,
+    mask: Vec<u8>,
+    open: Vec<u8>,
+    morphology: Morphology,
+    filled: Vec<u32>,
+    sizes: Vec<usize>,
+    stack: Vec<u32>,
+    splitter: Splitter,
+    components: Components,
+    readings: Readings,
+    models: Vec<Option<Model>>,
+    absorber: Absorber,
+    merger: Merger,
+    flat: Vec<bool>,
+}
+
+impl PaperChain {
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none.
+    pub fn run(
+        &mut self,
+        field: &Field,
+        config: &SegmentationConfig,
+        labels: &mut Vec<u32>,
+        observe: &mut dyn FnMut(Stage),
+    ) {
+        let paper = &config.paper;
+        let width = field.lanes;
+        self.residual.compute(field);
+        scale(&self.residual.scaled, WHITE, &mut self.grey);
+        observe(Stage::Residual);
+        self.find_edges(field, paper);
+        observe(Stage::Morphology);
+        flood_fill(&self.open, width, labels, &mut self.sizes, &mut self.stack);
+        self.filled.clone_from(labels);
+        observe(Stage::Fill);
+        if paper.split_by_normals {
+            let last = self.sizes.len() as u32;
+            self.splitter.split(field, labels, last, paper.split_angle_deg.to_radians());
+        }
+        self.components.find(labels, width);
+        self.fit_models(field, config);
+        for (label, &component) in labels.iter_mut().zip(&self.components.of_cell) {
+            let kept = self.models.get(component as usize).is_some_and(Option::is_some);
+            *label = if kept { component + 1 } else { 0 };
+        }
+        self.absorber.absorb(
+            field,
+            &self.models,
+            labels,
+            paper.absorb_deviations,
+            paper.absorb_rings,
+        );
+        self.flat.clear();
+        self.flat.extend(self.models.iter().map(|m| matches!(m, Some(Model::Plane { .. }))));
+        self.merger.merge(field, labels, self.models.len(), &self.flat);
+        observe(Stage::Split);
+    }
+
+    fn find_edges(&mut self, field: &Field, paper: &PaperConfig) {
+        let width = field.lanes;
+        let deviation = (2.0 / self.residual.freedom()).sqrt();
+        let threshold = (1.0 + paper.edge_deviations * deviation).sqrt() as f32;
+        self.edges.clear();
+        self.edges.extend(self.residual.scaled.iter().map(|&s| u8::from(s > threshold)));
+        self.mask.clone_from(&self.edges);
+        self.morphology.close(&mut self.mask, width);
+        self.morphology.drop_specks(&mut self.mask, width, paper.min_edge_cells);
+        self.open.clear();
+        self.open.extend(
+            (0..field.len()).map(|cell| u8::from(self.mask[cell] == 0 && field.is_valid(cell))),
+        );
+    }
+
+    /// A preliminary model for each region that is large enough.
+    fn fit_models(&mut self, field: &Field, config: &SegmentationConfig) {
+        self.models.clear();
+        for component in 0..self.components.len() {
+            let cells = self.components.cells(component);
+            if cells.len() < FEWEST_CELLS {
+                self.models.push(None);
+                continue;
+            }
+            self.readings.clear();
+            for &cell in cells {
+                let cell = cell as usize;
+                let sigma = field.sigma_m(cell);
+                self.readings.push(field.point(cell), f64::from(field.inverse[cell]), sigma, true);
+            }
+            let axes =
+                candidate_axes(field, cells, |c| self.components.of_cell[c] == component as u32);
+            let (fitted, _) = choose(&self.readings, &axes, &config.limits);
+            self.models.push(match fitted {
+                Fitted::Plane(plane) => Some(plane.model()),
+                Fitted::Sphere { centre, radius_m, .. } => {
+                    Some(Model::Sphere { centre: centre.coords, radius_m })
+                }
+                Fitted::Cylinder { axis_point, axis, radius_m, .. } => Some(Model::Cylinder {
+                    foot: axis_point.coords,
+                    axis: axis.into_inner(),
+                    radius_m,
+                }),
+                Fitted::Other => None,
+            });
+        }
+    }
+
+    /// The stages as pictures, in field order.
+    pub fn images(&self) -> Vec<StageImage> {
+        let bytes = |mask: &[u8]| mask.iter().map(|&m| 255 * m).collect();
+        vec![
+            StageImage::grey("residual_scaled", self.grey.clone()),
+            StageImage::grey("edges", bytes(&self.edges)),
+            StageImage::grey("edges_after_morphology", bytes(&self.mask)),
+            StageImage::labels("filled", self.filled.clone()),
+        ]
+    }
+}

@@ -1,0 +1,101 @@
+//! Errors against the covariances that the filters state, over seeded runs.
+
+use super::world::{World, drawn6, furnished_room, rng};
+use nalgebra::{Isometry3, Vector3};
+use usar_agent::mapping::perturbation::pose_error;
+use usar_agent::mapping::{Mapper, MapperConfig, Mode, Motion, OdometryNoise};
+
+struct Run {
+    /// Normalised squared error of the last pose.
+    nees: f64,
+    /// Error of the last pose: metres, radians.
+    error: (f64, f64),
+    /// Normalised innovations squared and their degrees of freedom, over all scans.
+    nis: (f64, usize),
+    wrong: usize,
+    right: usize,
+}
+
+fn noise() -> OdometryNoise {
+    OdometryNoise {
+        position_per_m: 0.05,
+        heading_per_m: 0.03,
+        heading_per_rad: 0.05,
+        height_per_m: 0.03,
+        attitude_per_m: 0.02,
+        ..OdometryNoise::default()
+    }
+}
+
+fn run(world: &World, mode: Mode, seed: u64, steps: usize) -> Run {
+    let mut rng = rng(seed);
+    let config = MapperConfig { mode, odometry: noise(), ..MapperConfig::default() };
+    let mut config = config;
+    config.mip.offset_floor_m = 0.0;
+    config.mip.tilt_floor_rad = 0.0;
+    let mut mapper = Mapper::new(config, Isometry3::identity());
+    let mut truth = Isometry3::identity();
+    let mut nis = (0.0, 0);
+    let (mut wrong, mut right) = (0, 0);
+    let mut behind = std::collections::BTreeMap::new();
+    for k in 0..=steps {
+        if k > 0 {
+            // Noise in all six degrees of freedom, from the filter's own Q: the robot is moved by it.
+            let told = Isometry3::new(Vector3::new(0.5, 0.0, 0.0), Vector3::z() * 0.12);
+            let mut motion = Motion::default();
+            motion.append(&told);
+            let error = drawn6(&mut rng, &noise().covariance(&motion));
+            truth *= usar_agent::mapping::perturbation::perturbed_pose(&told, &error);
+            mapper.predict(&told);
+        }
+        let (scan, planes) = world.observe(&truth, Some(&mut rng));
+        let report = mapper.observe(&scan);
+        nis.0 += report.nis;
+        nis.1 += report.nis_degrees;
+        for added in &report.added {
+            behind.insert(added.landmark, planes[added.observation]);
+        }
+        for pair in &report.associations {
+            if behind[&pair.landmark] == planes[pair.observation] {
+                right += 1;
+            } else {
+                wrong += 1;
+            }
+        }
+    }
+    let error = pose_error(&mapper.world_from_robot(), &truth);
+    let covariance = mapper.covariance();
+    let nees = error.dot(&covariance.cholesky().unwrap().solve(&error));
+    let error = (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm());
+    Run { nees, error, nis, wrong, right }
+}
+
+/// Half width of the 95 % band of the mean of `runs` values of χ² with `degrees` each.
+fn band(degrees: f64, runs: usize) -> f64 {
+    1.96 * (2.0 * degrees / runs as f64).sqrt()
+}
+
+#[test]
+fn full_mode_errors_match_their_covariance() {
+    let world = furnished_room();
+    let runs = 200;
+    let (mut nees, mut nis, mut degrees, mut wrong, mut right) = (0.0, 0.0, 0, 0, 0);
+    let mut square = 0.0;
+    for seed in 0..runs {
+        let run = run(&world, Mode::Full, seed as u64, 10);
+        nees += run.nees / runs as f64;
+        square += run.error.0 * run.error.0 / runs as f64;
+        nis += run.nis.0;
+        degrees += run.nis.1;
+        wrong += run.wrong;
+        right += run.right;
+    }
+    println!(
+        "NEES {nees:.2} (6 ± {:.2}), RMS {:.2} mm, NIS per degree {:.3}, pairs {right} right {wrong} wrong",
+        band(6.0, runs),
+        1e3 * square.sqrt(),
+        nis / degrees as f64
+    );
+    assert!((nees - 6.0).abs() < band(6.0, runs), "{nees}");
+    assert_eq!(wrong, 0);
+}

@@ -1,0 +1,4 @@
+//! Localisation and mapping, from the outside.
+
+mod consistency;
+mod world;
