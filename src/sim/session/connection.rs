@@ -1,0 +1,137 @@
+//! One client's end: bytes in, commands out; lines in, bytes out, as faults allow.
+
+use super::fault::Shaping;
+use crate::protocol::command::Query;
+use crate::protocol::{Command, Framed, LineSplitter, parse_command};
+use crate::sim::physics::RobotKey;
+use crate::time::{Span, Stamp};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// Identifies a connection in one session; never used twice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct ConnectionId(pub u32);
+
+/// Commands that wait for the next tick; a client that floods loses the rest.
+const MOST_PENDING: usize = 4096;
+
+/// Octets that wait to be taken; a client that never reads is cut off.
+const MOST_UNREAD: usize = 32 << 20;
+
+/// The longest command line.
+const LONGEST_COMMAND: usize = 64 << 10;
+
+/// A question that waits its turn: UT2004 answers one of each kind per tick.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Question {
+    Geo(Query),
+    Conf(Query),
+}
+
+pub(super) struct Connection {
+    pub(super) robot: Option<RobotKey>,
+    /// Robots that this client made before its present one; they go when it goes.
+    pub(super) earlier: Vec<RobotKey>,
+    pub(super) closed: bool,
+    pub(super) geo: VecDeque<Query>,
+    pub(super) conf: VecDeque<Query>,
+    splitter: LineSplitter,
+    commands: VecDeque<Command>,
+    ready: Vec<u8>,
+    /// Pieces under way, in the order in which they arrive.
+    under_way: VecDeque<(Stamp, Vec<u8>)>,
+}
+
+impl Connection {
+    pub(super) fn new() -> Self {
+        Self {
+            robot: None,
+            earlier: Vec::new(),
+            closed: false,
+            geo: VecDeque::new(),
+            conf: VecDeque::new(),
+            splitter: LineSplitter::new(LONGEST_COMMAND),
+            commands: VecDeque::new(),
+            ready: Vec::new(),
+            under_way: VecDeque::new(),
+        }
+    }
+
+    pub(super) fn receive(&mut self, bytes: &[u8]) {
+        if self.closed {
+            return;
+        }
+        self.splitter.push(bytes);
+        while let Some(framed) = self.splitter.next_line() {
+            if let Framed::Line(line) = framed
+                && self.commands.len() < MOST_PENDING
+            {
+                self.commands.push_back(parse_command(line).command);
+            }
+        }
+    }
+
+    /// The commands that came since the last tick.
+    pub(super) fn take_commands(&mut self) -> VecDeque<Command> {
+        std::mem::take(&mut self.commands)
+    }
+
+    pub(super) fn ask(&mut self, question: Question) {
+        let (queue, query) = match question {
+            Question::Geo(query) => (&mut self.geo, query),
+            Question::Conf(query) => (&mut self.conf, query),
+        };
+        if queue.len() < MOST_PENDING {
+            queue.push_back(query);
+        }
+    }
+
+    /// Sends one whole line, as the faults of the moment shape it.
+    pub(super) fn send(&mut self, line: Vec<u8>, now: Stamp, shaping: &mut Shaping<'_>) {
+        if self.closed {
+            return;
+        }
+        for (late, piece) in shaping.shape(line) {
+            self.put(piece, now, late);
+        }
+        let unread: usize =
+            self.ready.len() + self.under_way.iter().map(|(_, piece)| piece.len()).sum::<usize>();
+        if unread > MOST_UNREAD {
+            self.close();
+        }
+    }
+
+    fn put(&mut self, piece: Vec<u8>, now: Stamp, late: Span) {
+        let due = now + late;
+        if late == Span::ZERO && self.under_way.is_empty() {
+            self.ready.extend(piece);
+            return;
+        }
+        // TCP keeps the order: what is sent later arrives no earlier.
+        let due = self.under_way.back().map_or(due, |(last, _)| due.max(*last));
+        self.under_way.push_back((due, piece));
+    }
+
+    /// Lets arrive what is due, unless the line is stalled.
+    pub(super) fn deliver(&mut self, now: Stamp, stalled: bool) {
+        while !stalled && self.under_way.front().is_some_and(|(due, _)| *due <= now) {
+            let (_, piece) = self.under_way.pop_front().expect("the front was just seen");
+            self.ready.extend(piece);
+        }
+    }
+
+    pub(super) fn take_output(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.ready)
+    }
+
+    pub(super) fn close(&mut self) {
+        self.closed = true;
+        self.commands.clear();
+        self.under_way.clear();
+    }
+
+    /// All robots that this client made.
+    pub(super) fn robots(&self) -> Vec<RobotKey> {
+        self.earlier.iter().copied().chain(self.robot).collect()
+    }
+}
