@@ -1,6 +1,8 @@
 //! TOML files read strictly: every mistake of a file at once, each with its line and, for a
 //! misspelt key, the nearest known one.
 
+mod agent;
+
 use serde::de::DeserializeOwned;
 use std::fmt;
 use std::ops::Range;
@@ -23,6 +25,14 @@ pub struct ConfigError {
     pub file: String,
     /// The mistakes in the order of their lines; never empty.
     pub mistakes: Vec<Mistake>,
+}
+
+impl ConfigError {
+    /// An error about a file as a whole.
+    pub fn whole(file: &str, message: impl Into<String>) -> Self {
+        let mistakes = vec![Mistake { line: None, message: message.into() }];
+        Self { file: file.to_owned(), mistakes }
+    }
 }
 
 impl fmt::Display for ConfigError {
@@ -56,6 +66,16 @@ pub trait Check {
     fn violations(&self) -> Vec<Violation>;
 }
 
+/// Reads `text` as a `T` that has no ranges of its own to check.
+///
+/// # Errors
+///
+/// Every syntax error; else every unknown key, wrong type and missing key.
+pub fn read_plain<T: DeserializeOwned>(file: &str, text: &str) -> Result<T, ConfigError> {
+    let table = section_table(file, text, None)?;
+    deserialize_all(text, table).map_err(|mistakes| ConfigError { file: file.to_owned(), mistakes })
+}
+
 /// Reads `text` as a `T`.
 ///
 /// # Errors
@@ -78,11 +98,12 @@ pub fn read_section<T: DeserializeOwned + Check>(
     read_table(file, text, Some(section))
 }
 
-fn read_table<T: DeserializeOwned + Check>(
+/// The whole document, or one table of it.
+fn section_table<'a>(
     file: &str,
-    text: &str,
+    text: &'a str,
     section: Option<&str>,
-) -> Result<T, ConfigError> {
+) -> Result<Spanned<DeTable<'a>>, ConfigError> {
     let fail = |mistakes: Vec<Mistake>| ConfigError { file: file.to_owned(), mistakes };
     let (document, syntax) = DeTable::parse_recoverable(text);
     if !syntax.is_empty() {
@@ -92,22 +113,27 @@ fn read_table<T: DeserializeOwned + Check>(
             .collect();
         return Err(fail(mistakes));
     }
-    let table = match section {
-        None => document,
-        Some(name) => match document.get_ref().get(name) {
-            None => Spanned::new(0..0, DeTable::new()),
-            Some(value) => match value.get_ref() {
-                DeValue::Table(inner) => Spanned::new(value.span(), inner.clone()),
-                other => {
-                    let message = format!("`{name}` is a {}, expected a table", other.type_str());
-                    return Err(fail(vec![Mistake {
-                        line: line_of(text, Some(value.span())),
-                        message,
-                    }]));
-                }
-            },
+    let Some(name) = section else { return Ok(document) };
+    match document.get_ref().get(name) {
+        None => Ok(Spanned::new(0..0, DeTable::new())),
+        Some(value) => match value.get_ref() {
+            DeValue::Table(inner) => Ok(Spanned::new(value.span(), inner.clone())),
+            other => {
+                let message = format!("`{name}` is a {}, expected a table", other.type_str());
+                let line = line_of(text, Some(value.span()));
+                Err(fail(vec![Mistake { line, message }]))
+            }
         },
-    };
+    }
+}
+
+fn read_table<T: DeserializeOwned + Check>(
+    file: &str,
+    text: &str,
+    section: Option<&str>,
+) -> Result<T, ConfigError> {
+    let fail = |mistakes: Vec<Mistake>| ConfigError { file: file.to_owned(), mistakes };
+    let table = section_table(file, text, section)?;
     let value: T = deserialize_all(text, table.clone()).map_err(&fail)?;
     let violations = value.violations();
     if violations.is_empty() {

@@ -1,4 +1,6 @@
 //! Map, scan and recording files read here and handed down as values.
 
+pub mod agent_config;
 pub mod pcd;
 pub mod replace;
+pub mod scenario;
