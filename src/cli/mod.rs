@@ -1,5 +1,6 @@
 //! Arguments, wiring and exit codes: one file per verb.
 
+mod mission;
 mod paper;
 mod segment;
 
@@ -16,6 +17,8 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    /// One mission, agents and simulator in lockstep.
+    Mission(mission::MissionArguments),
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
     /// Regenerates the paper's tables and figures from this code.
@@ -25,6 +28,7 @@ enum Verb {
 /// Runs the verb that the arguments name and turns its outcome into an exit code.
 pub fn run(arguments: Arguments) -> ExitCode {
     let outcome = match arguments.verb {
+        Verb::Mission(arguments) => mission::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
         Verb::Paper(arguments) => paper::run(arguments),
     };

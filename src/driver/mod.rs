@@ -1,1 +1,5 @@
-//! The three ways to run an agent: live, lockstep, replay.
+//! The three ways to run an agent: live over TCP, in lockstep with the simulator, from a recording.
+
+pub mod host;
+pub mod lockstep;
+pub mod replay;

@@ -145,9 +145,6 @@ impl Running {
             self.finest_here = true;
             if let Some(request) = self.fan() {
                 desk.info("nothing to go to: looking once more from here");
-                let behind =
-                    self.can_look_back().then(|| request.clone().at_pan(std::f64::consts::PI));
-                self.queue.extend(behind);
                 self.settle(request, desk);
                 return Verdict::GoOn;
             }
@@ -159,11 +156,6 @@ impl Running {
         }
         desk.info(format!("nothing left to explore, {} frontiers stay", self.frontiers_left.len()));
         Verdict::Explored
-    }
-
-    fn can_look_back(&self) -> bool {
-        let pan = self.acquisition.as_ref().and_then(|a| a.control().head().pan());
-        pan.is_some_and(|pan| pan.limits.is_none_or(|limits| limits.max_rad >= 2.6))
     }
 
     /// Takes the ground between the robot's own disc and the nearest ring that it can see for safe,

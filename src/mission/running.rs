@@ -188,18 +188,7 @@ impl Running {
             self.queue.push_back(SweepRequest::paper());
         }
         let fan = SweepRequest::ground_fan(&view, acquisition.config());
-        self.queue.push_back(fan.clone());
-        let looks_back = acquisition
-            .control()
-            .head()
-            .pan()
-            .is_some_and(|pan| pan.limits.is_none_or(|limits| limits.max_rad >= 2.6));
-        if looks_back {
-            let reach = acquisition.control().head().pan().and_then(|pan| pan.limits);
-            let back = reach
-                .map_or(std::f64::consts::PI, |limits| limits.max_rad.min(std::f64::consts::PI));
-            self.queue.push_back(fan.at_pan(back));
-        }
+        self.queue.push_back(fan);
         let limits = acquisition.control().head().tilt().and_then(|axis| axis.limits);
         let lost = self.queue.front().and_then(|first| first.profile.clone().clipped(limits).1);
         if let Some(lost) = lost {
@@ -409,7 +398,7 @@ impl Running {
     /// is still empty then and is begun anew with the measured height.
     fn measure_floor(&mut self, scan: &Scan, desk: &mut Desk<'_>) {
         let guess_m = self.shape.base_above_floor_m;
-        let Some(height_m) = Belief::floor_below_m(&scan.image, 3.0, guess_m) else { return };
+        let Some(height_m) = Belief::floor_below_m(&scan.image) else { return };
         if (height_m - guess_m).abs() < 0.01 {
             return;
         }

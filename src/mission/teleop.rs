@@ -27,7 +27,7 @@ impl Running {
                 }
             }
             OperatorEvent::SetMode(mode) => {
-                desk.info(format!("mode {:?} by the operator", mode));
+                desk.info(format!("mode {mode:?} by the operator"));
                 self.mode = *mode;
                 self.lease.release();
                 self.stop(desk);
