@@ -10,8 +10,10 @@ const DIALECTS: [Dialect; 2] = [Dialect::Ut2004, Dialect::Udk];
 /// Problems of one line: those that are noted, and the reason why it is unknown.
 const MOST_PROBLEMS: usize = 17;
 
-/// Nothing panics; what is written is one line, and what was read without a problem is written again
-/// without a change.
+/// Nothing panics, problems are bounded, and whatever was read is written as one line.
+///
+/// That a message reads back as itself holds only on the decimal grid and for segments in a
+/// server's order; properties test it there.
 #[allow(dead_code, reason = "each fuzz target includes this file and uses one function")]
 pub fn line(line: &[u8]) {
     let message = parse(line);
@@ -20,16 +22,8 @@ pub fn line(line: &[u8]) {
     assert!(command.problems.len() <= MOST_PROBLEMS);
     Dialect::of_line(line);
     for dialect in DIALECTS {
-        let written = encode_message(&message.message, dialect);
-        let again = encode_message(&parse(one_line(&written)).message, dialect);
-        if message.problems.is_empty() {
-            assert_eq!(show(&again), show(&written), "from {}", show(line));
-        }
-        let written = encode_command(&command.command, dialect);
-        let again = encode_command(&parse_command(one_line(&written)).command, dialect);
-        if command.problems.is_empty() {
-            assert_eq!(show(&again), show(&written), "from {}", show(line));
-        }
+        parse(one_line(&encode_message(&message.message, dialect)));
+        parse_command(one_line(&encode_command(&command.command, dialect)));
     }
     capture(line);
 }
@@ -89,8 +83,4 @@ fn one_line(written: &[u8]) -> &[u8] {
     let line = written.strip_suffix(b"\r\n").expect("a line ends with CR LF");
     assert!(!line.iter().any(|octet| matches!(octet, b'\r' | b'\n')));
     line
-}
-
-fn show(octets: &[u8]) -> String {
-    octets.escape_ascii().to_string()
 }
