@@ -293,7 +293,7 @@ fn push_segment<'a>(fields: &mut Vec<Field<'a>>, body: grammar::Body<'a>) {
         fields.push(field);
         return;
     }
-    let words = text::words(value).count();
+    let words = text::words(value).filter(|word| !word.ends_with(b",")).count();
     if words < 3 || words.is_multiple_of(2) {
         fields.push(field);
         return;
@@ -302,8 +302,8 @@ fn push_segment<'a>(fields: &mut Vec<Field<'a>>, body: grammar::Body<'a>) {
     while !rest.is_empty() {
         let (key, after) = text::split_word(rest);
         let (value, after) = split_value(after);
-        let length = value.as_ptr_range().end as usize - rest.as_ptr() as usize;
-        fields.push(Field { key, value, body: &rest[..length], ..field });
+        let pair = text::trim(&rest[..rest.len() - after.len()]);
+        fields.push(Field { key, value, body: pair, ..field });
         rest = after;
     }
 }
@@ -349,6 +349,18 @@ mod tests {
         assert_eq!(
             keys("SEN {Name Touch Touch False}"),
             pairs(&[("Name", "Touch"), ("Touch", "False")])
+        );
+    }
+
+    #[test]
+    fn blanks_after_commas_do_not_take_a_compound_apart() {
+        assert_eq!(
+            keys("GEO {Name F1 Location 0.1, 0.2, 0 Mount HARD}"),
+            pairs(&[("Name", "F1"), ("Location", "0.1, 0.2, 0"), ("Mount", "HARD")])
+        );
+        assert_eq!(
+            keys("GEO {Name F1 0.1, 0.2, 0 Mount}"),
+            pairs(&[("Name", "F1"), ("0.1,", "0.2, 0"), ("Mount", "")])
         );
     }
 

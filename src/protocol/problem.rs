@@ -34,6 +34,9 @@ pub enum ProblemKind {
         /// The bound.
         limit: usize,
     },
+    /// The stream ended in the middle of the line, which was dropped.
+    #[error("the connection closed before the line ended")]
+    Unfinished,
     /// A `{` without its `}`; the segment was ended at the next `{` or at the end of the line.
     #[error("segment is not closed")]
     SegmentNotClosed,
@@ -68,6 +71,11 @@ pub enum ProblemKind {
 }
 
 impl Problem {
+    /// A problem with a whole line, for whoever frames or replays lines.
+    pub fn quoting(kind: ProblemKind, line: &[u8]) -> Self {
+        Self::new(kind, 0, line)
+    }
+
     /// A problem at offset `at`, quoting the beginning of `place`.
     pub(super) fn new(kind: ProblemKind, at: usize, place: &[u8]) -> Self {
         let quote = text::from_wire(&place[..place.len().min(QUOTE_OCTETS)]);

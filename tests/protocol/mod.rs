@@ -1,6 +1,9 @@
 //! The protocol from outside: the reference's own lines, a recording, properties, a fuzz corpus.
 
+mod corpus;
+mod properties;
 mod recording;
+mod strategies;
 mod vectors;
 
 use std::path::{Path, PathBuf};
