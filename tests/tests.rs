@@ -3,3 +3,4 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking; helpers count as tests too")]
 
 mod layering;
+mod segmentation;
