@@ -59,20 +59,34 @@ impl Moments {
     /// Readings on one ray or one line leave `q` free across it. A ridge of 1e-9 of the trace
     /// keeps that part finite; against readings that do fix `q` it is below their noise.
     pub fn solve(&self) -> [f64; 3] {
+        self.solve_with_covariance().0
+    }
+
+    /// The best `q` and the inverse of `A`, its covariance: xx, xy, xz, yy, yz, zz.
+    pub fn solve_with_covariance(&self) -> ([f64; 3], [f64; 6]) {
         let [xx, xy, xz, yy, yz, zz] = self.a;
         let ridge = 1e-9 * (xx + yy + zz) + f64::MIN_POSITIVE;
-        let l00 = (xx + ridge).sqrt();
-        let (l10, l20) = (xy / l00, xz / l00);
-        let l11 = (yy + ridge - l10 * l10).max(ridge).sqrt();
-        let l21 = (yz - l20 * l10) / l11;
-        let l22 = (zz + ridge - l20 * l20 - l21 * l21).max(ridge).sqrt();
-        let w0 = self.b[0] / l00;
-        let w1 = (self.b[1] - l10 * w0) / l11;
-        let w2 = (self.b[2] - l20 * w0 - l21 * w1) / l22;
-        let q2 = w2 / l22;
-        let q1 = (w1 - l21 * q2) / l11;
-        let q0 = (w0 - l10 * q1 - l20 * q2) / l00;
-        [q0, q1, q2]
+        // A = L Lᵀ; with M = L⁻¹ the covariance is Mᵀ M, and q follows from it.
+        let m00 = 1.0 / (xx + ridge).sqrt();
+        let (l10, l20) = (xy * m00, xz * m00);
+        let m11 = 1.0 / (yy + ridge - l10 * l10).max(ridge).sqrt();
+        let l21 = (yz - l20 * l10) * m11;
+        let m22 = 1.0 / (zz + ridge - l20 * l20 - l21 * l21).max(ridge).sqrt();
+        let m10 = -l10 * m00 * m11;
+        let m21 = -l21 * m11 * m22;
+        let m20 = -(l20 * m00 + l21 * m10) * m22;
+        let covariance = [
+            m00 * m00 + m10 * m10 + m20 * m20,
+            m10 * m11 + m20 * m21,
+            m20 * m22,
+            m11 * m11 + m21 * m21,
+            m21 * m22,
+            m22 * m22,
+        ];
+        let [b0, b1, b2] = self.b;
+        let w = [m00 * b0, m10 * b0 + m11 * b1, m20 * b0 + m21 * b1 + m22 * b2];
+        let q = [m00 * w[0] + m10 * w[1] + m20 * w[2], m11 * w[1] + m21 * w[2], m22 * w[2]];
+        (q, covariance)
     }
 
     /// Sum of the squared errors under the plane `q`, in units of the noise.

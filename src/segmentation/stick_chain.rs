@@ -1,0 +1,56 @@
+//! The default structure.
+
+use super::compete::{Competition, FlatPlane};
+use super::config::SegmentationConfig;
+use super::field::Field;
+use super::grow::Grower;
+use super::sticks::{NO_STICK, Sticks};
+use super::{Stage, StageImage};
+
+/// Buffers and stage images of the chain.
+#[derive(Clone, Debug, Default)]
+pub(super) struct StickChain {
+    sticks: Sticks,
+    grower: Grower,
+    grown: Vec<u32>,
+    planes: Vec<FlatPlane>,
+    competition: Competition,
+}
+
+impl StickChain {
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none.
+    pub fn run(
+        &mut self,
+        field: &Field,
+        _config: &SegmentationConfig,
+        labels: &mut Vec<u32>,
+        observe: &mut dyn FnMut(Stage),
+    ) {
+        observe(Stage::Residual);
+        self.sticks.cut(field);
+        observe(Stage::Morphology);
+        self.grower.grow(field, &self.sticks);
+        labels.clear();
+        labels.extend(
+            self.sticks
+                .of_cell
+                .iter()
+                .map(|&s| if s == NO_STICK { 0 } else { self.grower.region_of[s as usize] }),
+        );
+        self.grown.clone_from(labels);
+        observe(Stage::Fill);
+        self.planes.clear();
+        self.planes.extend(self.grower.regions.iter().map(|r| r.plane.q.map(|v| v as f32)));
+        self.competition.settle(field, &self.planes, labels);
+        observe(Stage::Split);
+    }
+
+    /// The stages as pictures, in field order.
+    pub fn images(&self) -> Vec<StageImage> {
+        let sticks = self.sticks.of_cell.iter().map(|&s| if s == NO_STICK { 0 } else { s + 1 });
+        vec![
+            StageImage::labels("sticks", sticks.collect()),
+            StageImage::labels("grown", self.grown.clone()),
+        ]
+    }
+}
