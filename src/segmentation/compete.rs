@@ -5,7 +5,9 @@
 //! neighbours have. Cells that nothing explains are left without a label.
 
 use super::field::Field;
+use super::fit::Model;
 use super::morphology::neighbours8;
+use nalgebra::Vector3;
 
 /// Squared error, in units of the noise, at which a cell is better left without a label.
 const UNEXPLAINED: f32 = 12.0;
@@ -15,9 +17,48 @@ const DISAGREEMENT: f32 = 1.0;
 const LEAST_GAIN: f32 = 0.25;
 /// Rounds at most; each moves a border by one cell.
 const ROUNDS: usize = 16;
+/// Least cosine of incidence on a curved surface that is believed.
+const LEAST_COSINE: f32 = 0.15;
 
-/// A plane as the competition evaluates it: `q · p = 1`.
-pub(super) type FlatPlane = [f32; 3];
+/// A surface as the competition evaluates it.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Rival {
+    /// A plane `q · p = 1`.
+    Plane([f32; 3]),
+    /// A sphere, or a cylinder about the axis that the vector gives.
+    Round { centre: [f32; 3], axis: [f32; 3], radius_m: f32 },
+}
+
+impl Rival {
+    pub fn of(model: &Model) -> Self {
+        let narrow = |v: &Vector3<f64>| [v.x as f32, v.y as f32, v.z as f32];
+        match model {
+            Model::Plane { normal, offset_m } => Self::Plane(narrow(&(normal / *offset_m))),
+            Model::Sphere { centre, radius_m } => {
+                Self::Round { centre: narrow(centre), axis: [0.0; 3], radius_m: *radius_m as f32 }
+            }
+            Model::Cylinder { foot, axis, radius_m } => {
+                Self::Round { centre: narrow(foot), axis: narrow(axis), radius_m: *radius_m as f32 }
+            }
+        }
+    }
+
+    /// Error of a reading relative to its range.
+    fn error(&self, p: [f32; 3], range: f32) -> f32 {
+        let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        match *self {
+            Self::Plane(q) => dot(q, p) - 1.0,
+            Self::Round { centre, axis, radius_m } => {
+                let d = [p[0] - centre[0], p[1] - centre[1], p[2] - centre[2]];
+                let height = dot(axis, d);
+                let radial: [f32; 3] = std::array::from_fn(|i| d[i] - axis[i] * height);
+                let length = dot(radial, radial).sqrt();
+                let cosine = (dot(radial, p) / (length * range)).abs().max(LEAST_COSINE);
+                (length - radius_m) / (cosine * range)
+            }
+        }
+    }
+}
 
 /// Buffers of the competition.
 #[derive(Clone, Debug, Default)]
@@ -30,8 +71,8 @@ pub(super) struct Competition {
 }
 
 impl Competition {
-    /// Settles the borders of `labels`; `planes` stand at their label.
-    pub fn settle(&mut self, field: &Field, planes: &[FlatPlane], labels: &mut [u32]) {
+    /// Settles the borders of `labels`; `rivals` stand at their label.
+    pub fn settle(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
         let (width, length) = (field.lanes, field.len());
         self.weight.clear();
         self.weight.extend(
@@ -51,7 +92,7 @@ impl Competition {
         for _ in 0..ROUNDS {
             self.changes.clear();
             for &cell in &self.front {
-                let label = self.best_label(field, planes, labels, cell as usize);
+                let label = self.best_label(field, rivals, labels, cell as usize);
                 if label != labels[cell as usize] {
                     self.changes.push((cell, label));
                 }
@@ -77,7 +118,7 @@ impl Competition {
         }
     }
 
-    fn best_label(&self, field: &Field, planes: &[FlatPlane], labels: &[u32], cell: usize) -> u32 {
+    fn best_label(&self, field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u32 {
         // Distinct labels around the cell and how often they stand there.
         let mut seen = [(0_u32, 0.0_f32); 10];
         seen[1] = (labels[cell], 0.0);
@@ -101,8 +142,8 @@ impl Competition {
             let error = if label == 0 {
                 UNEXPLAINED
             } else {
-                let q = planes[label as usize];
-                let e = q[0] * field.x[cell] + q[1] * field.y[cell] + q[2] * field.z[cell] - 1.0;
+                let p = [field.x[cell], field.y[cell], field.z[cell]];
+                let e = rivals[label as usize].error(p, field.range[cell]);
                 (e * self.weight[cell]).powi(2)
             };
             error + DISAGREEMENT * (around - votes)

@@ -76,7 +76,8 @@ pub(super) struct Grower {
     order: Vec<u32>,
     front: Vec<u32>,
     near: Vec<u32>,
-    pairs: Vec<(u32, u32)>,
+    /// Regions that touch, each pair once, the smaller number first.
+    pub pairs: Vec<(u32, u32)>,
     parents: Vec<u32>,
 }
 
@@ -213,6 +214,14 @@ impl Grower {
         for s in 0..self.region_of.len() {
             self.region_of[s] = self.root(self.region_of[s]);
         }
+        for i in 0..self.pairs.len() {
+            let (a, b) = self.pairs[i];
+            let (a, b) = (self.root(a), self.root(b));
+            self.pairs[i] = (a.min(b), a.max(b));
+        }
+        self.pairs.sort_unstable();
+        self.pairs.dedup();
+        self.pairs.retain(|&(a, b)| a != b);
     }
 
     fn find_pairs(&mut self, field: &Field, sticks: &Sticks) {

@@ -11,6 +11,7 @@ mod axes;
 mod compete;
 mod components;
 mod config;
+mod curve;
 mod field;
 mod fill;
 mod fit;

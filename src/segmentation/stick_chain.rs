@@ -1,7 +1,8 @@
 //! The default structure.
 
-use super::compete::{Competition, FlatPlane};
+use super::compete::{Competition, Rival};
 use super::config::SegmentationConfig;
+use super::curve::CurveFinder;
 use super::field::Field;
 use super::grow::Grower;
 use super::sticks::{NO_STICK, Sticks};
@@ -13,7 +14,8 @@ pub(super) struct StickChain {
     sticks: Sticks,
     grower: Grower,
     grown: Vec<u32>,
-    planes: Vec<FlatPlane>,
+    curves: CurveFinder,
+    rivals: Vec<Rival>,
     competition: Competition,
 }
 
@@ -22,7 +24,7 @@ impl StickChain {
     pub fn run(
         &mut self,
         field: &Field,
-        _config: &SegmentationConfig,
+        config: &SegmentationConfig,
         labels: &mut Vec<u32>,
         observe: &mut dyn FnMut(Stage),
     ) {
@@ -30,6 +32,7 @@ impl StickChain {
         self.sticks.cut(field);
         observe(Stage::Morphology);
         self.grower.grow(field, &self.sticks);
+        self.curves.find(field, &self.sticks, &mut self.grower, &config.limits);
         labels.clear();
         labels.extend(
             self.sticks
@@ -39,9 +42,14 @@ impl StickChain {
         );
         self.grown.clone_from(labels);
         observe(Stage::Fill);
-        self.planes.clear();
-        self.planes.extend(self.grower.regions.iter().map(|r| r.plane.q.map(|v| v as f32)));
-        self.competition.settle(field, &self.planes, labels);
+        self.rivals.clear();
+        for (region, model) in self.grower.regions.iter().zip(&self.curves.models) {
+            self.rivals.push(match model {
+                Some(model) => Rival::of(model),
+                None => Rival::Plane(region.plane.q.map(|v| v as f32)),
+            });
+        }
+        self.competition.settle(field, &self.rivals, labels);
         observe(Stage::Split);
     }
 

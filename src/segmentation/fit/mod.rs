@@ -11,7 +11,9 @@ mod plane;
 mod sphere;
 
 pub(super) use choose::choose;
+pub(super) use cylinder::fit_cylinder;
 pub(super) use plane::{PlaneFit, fit_plane};
+pub(super) use sphere::fit_sphere;
 
 use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, Unit, Vector3};
 
