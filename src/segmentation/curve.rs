@@ -60,7 +60,7 @@ impl CurveFinder {
         self.list_members(grower);
         self.in_set.clear();
         self.in_set.resize(sticks.sticks.len(), false);
-        self.collect_guesses(grower);
+        self.collect_guesses(sticks, grower);
         for k in 0..self.guesses.len() {
             let (_, a, b) = self.guesses[k];
             // Facets that an earlier guess has taken are gone.
@@ -85,18 +85,26 @@ impl CurveFinder {
     }
 
     /// Pairs of facets that turn, the largest first.
-    fn collect_guesses(&mut self, grower: &Grower) {
+    fn collect_guesses(&mut self, sticks: &Sticks, grower: &Grower) {
         self.guesses.clear();
         for &(a, b) in &grower.pairs {
             let (first, second) = (&grower.regions[a as usize], &grower.regions[b as usize]);
             let (qa, qb) = (Vector3::from(first.plane.q), Vector3::from(second.plane.q));
             let cosine = qa.dot(&qb) / (qa.norm() * qb.norm());
-            if LARGEST_TURN < cosine && cosine < SMALLEST_TURN {
+            // A facet on one lane has no normal of its own, so nothing is known of the turn.
+            let free = self.is_one_lane(sticks, a) || self.is_one_lane(sticks, b);
+            if free || (LARGEST_TURN < cosine && cosine < SMALLEST_TURN) {
                 let n = first.moments.n + second.moments.n;
                 self.guesses.push((n, a, b));
             }
         }
         self.guesses.sort_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));
+    }
+
+    fn is_one_lane(&self, sticks: &Sticks, region: u32) -> bool {
+        let members = &self.members[region as usize];
+        let lane = |s: Option<&u32>| s.map(|&s| sticks.sticks[s as usize].lane);
+        lane(members.first()) == lane(members.last())
     }
 
     /// The sphere or cylinder that explains two facets, if one does.
@@ -115,8 +123,13 @@ impl CurveFinder {
             }
         }
         let [qa, qb] = [a, b].map(|r| Vector3::from(grower.regions[r as usize].plane.q));
-        let axis = qa.cross(&qb).try_normalize(1e-12)?;
-        let candidates = [circle_along(&self.readings, &axis), ball_through(&self.readings)];
+        let axis = qa.cross(&qb).try_normalize(1e-12);
+        let spread = self.readings.principal_axis();
+        let candidates = [
+            axis.and_then(|axis| circle_along(&self.readings, &axis)),
+            circle_along(&self.readings, &spread),
+            ball_through(&self.readings),
+        ];
         let mut best: Option<(f64, Model)> = None;
         for model in candidates.into_iter().flatten() {
             let radius_m = match &model {

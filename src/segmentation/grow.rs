@@ -199,9 +199,9 @@ impl Grower {
                 let (first, second) = (&self.regions[keep], &self.regions[drop]);
                 let moments = first.moments.plus(&second.moments);
                 let plane = Plane::of(&moments);
-                let rise = moments.error(&plane.q)
-                    - first.moments.error(&first.plane.q)
-                    - second.moments.error(&second.plane.q);
+                let rise = moments.cost(&plane.q)
+                    - first.moments.cost(&first.plane.q)
+                    - second.moments.cost(&second.plane.q);
                 let fewer = first.moments.n.min(second.moments.n);
                 if rise < FREE_RISE + RISE_PER_READING * fewer {
                     let scatter = first.scatter + second.scatter;

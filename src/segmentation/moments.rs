@@ -6,6 +6,9 @@
 //! `v = r² / σ²`: `c - 2 q·b + qᵀ A q`, where `A = Σ v p pᵀ`, `b = Σ v p`, `c = Σ v`.
 //! Two regions become one by adding their sums.
 
+/// Tangent of the angle of incidence up to which planes are expected: 72°.
+const SLOPE: f64 = 3.0;
+
 /// The ten sums and the number of readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Moments {
@@ -54,10 +57,17 @@ impl Moments {
         sum
     }
 
-    /// The best `q`, by Cholesky's decomposition.
+    /// What is believed of a plane before it is seen: the tangent of the angle of incidence, which is
+    /// the slope of `q` against the ray in units of the inverse range, is about [`SLOPE`] at most.
     ///
-    /// Readings on one ray or one line leave `q` free across it. A ridge of 1e-9 of the trace
-    /// keeps that part finite; against readings that do fix `q` it is below their noise.
+    /// Readings on one ray or one line leave `q` free across it; this keeps that part finite and its
+    /// variance honest. Against readings that do fix `q` it is far below their noise.
+    fn prior(&self) -> f64 {
+        let [xx, _, _, yy, _, zz] = self.a;
+        (xx + yy + zz + f64::MIN_POSITIVE) / (SLOPE * SLOPE * (self.c + f64::MIN_POSITIVE))
+    }
+
+    /// The best `q`, by Cholesky's decomposition.
     pub fn solve(&self) -> [f64; 3] {
         self.solve_with_covariance().0
     }
@@ -65,7 +75,7 @@ impl Moments {
     /// The best `q` and the inverse of `A`, its covariance: xx, xy, xz, yy, yz, zz.
     pub fn solve_with_covariance(&self) -> ([f64; 3], [f64; 6]) {
         let [xx, xy, xz, yy, yz, zz] = self.a;
-        let ridge = 1e-9 * (xx + yy + zz) + f64::MIN_POSITIVE;
+        let ridge = self.prior();
         // A = L Lᵀ; with M = L⁻¹ the covariance is Mᵀ M, and q follows from it.
         let m00 = 1.0 / (xx + ridge).sqrt();
         let (l10, l20) = (xy * m00, xz * m00);
@@ -96,6 +106,11 @@ impl Moments {
         let quadratic =
             xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
         (self.c - 2.0 * (self.b[0] * x + self.b[1] * y + self.b[2] * z) + quadratic).max(0.0)
+    }
+
+    /// As [`error`](Self::error), with what the prior says against the plane.
+    pub fn cost(&self, q: &[f64; 3]) -> f64 {
+        self.error(q) + self.prior() * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     }
 
     /// Sum of the squared errors under the best plane.

@@ -34,6 +34,10 @@ pub fn judge(scan: &Scan, world: &World, result: &Segmentation) -> (Score, usize
     (score, typed)
 }
 
+fn world_kind(world: &World, id: usize) -> Kind {
+    world.solids[id - 1].kind()
+}
+
 pub fn geometries() -> Vec<(&'static str, Scanner)> {
     let paper = Scanner::paper();
     vec![
@@ -69,6 +73,17 @@ fn segmentation_campaign() {
                 let mut random = Random(index * 1000 + sigma_mm as u64);
                 let scan = scan(&scene.world, &scene.pose, &scanner, noise, &mut random);
                 let result = segmenter.segment(&scan.grid);
+                if let Some(folder) = variable("DUMP") {
+                    let path = format!("{folder}/{index}_{sigma_mm}.pcd");
+                    let bytes = usar_agent::files::pcd::write_pcd(
+                        &scan.grid,
+                        usar_agent::files::pcd::Encoding::Binary,
+                    );
+                    std::fs::write(&path, bytes).unwrap();
+                    let truth: Vec<u8> =
+                        scan.truth.iter().flat_map(|&t| (t as u16).to_le_bytes()).collect();
+                    std::fs::write(path.replace(".pcd", ".u16"), truth).unwrap();
+                }
                 let (judged, typed) = judge(&scan, &scene.world, result);
                 let columns = scanner.columns;
                 let best = components(&scan.oracle(&scene.world), columns, 40);
@@ -76,6 +91,29 @@ fn segmentation_campaign() {
                 ours.add(&judged);
                 typed_sum += typed;
                 if variable("VERBOSE").is_some() {
+                    let truth = components(&scan.truth, columns, 0);
+                    let mut regions: std::collections::BTreeMap<usize, (usize, usize)> =
+                        Default::default();
+                    for (&t, &s) in truth.iter().zip(&scan.truth) {
+                        let entry = regions.entry(t).or_insert((0, s));
+                        entry.0 += 1;
+                    }
+                    for (t, (size, s)) in regions {
+                        if t > 0 && size >= 40 && !judged.pairs.iter().any(|p| p.0 == t) {
+                            let mut found: std::collections::BTreeMap<u16, usize> =
+                                Default::default();
+                            for (i, _) in truth.iter().enumerate().filter(|x| *x.1 == t) {
+                                *found.entry(result.labels[i]).or_default() += 1;
+                            }
+                            let cell = truth.iter().position(|&x| x == t).unwrap();
+                            println!(
+                                "        lost {:?} {size} at {},{}: {found:?}",
+                                world_kind(&scene.world, s),
+                                cell / columns,
+                                cell % columns
+                            );
+                        }
+                    }
                     println!(
                         "    {index} {}: {}/{} typed {typed} over {} under {} missed {} noise {}",
                         scene.name,

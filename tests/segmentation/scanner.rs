@@ -103,7 +103,6 @@ pub struct Scan {
     pub truth: Vec<usize>,
     pub pose: Isometry3<f64>,
     pub scanner: Scanner,
-    pub noise: Noise,
     pub ranges: Vec<f64>,
 }
 
@@ -135,7 +134,7 @@ pub fn scan(
         ranges.push(measured);
     }
     let grid = PointGrid::new(scanner.rows, scanner.columns, points);
-    Scan { grid, truth, pose: *pose, scanner: scanner.clone(), noise, ranges }
+    Scan { grid, truth, pose: *pose, scanner: scanner.clone(), ranges }
 }
 
 impl Scan {

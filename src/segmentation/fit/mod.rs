@@ -62,6 +62,12 @@ impl Readings {
         self.points.iter().sum::<Vector3<f64>>() / self.len().max(1) as f64
     }
 
+    /// The direction in which the points extend most.
+    pub fn principal_axis(&self) -> Vector3<f64> {
+        let eigen = self.covariance(&self.centroid()).symmetric_eigen();
+        eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned()
+    }
+
     /// Scatter about the centroid, divided by the number of points.
     fn covariance(&self, centroid: &Vector3<f64>) -> Matrix3<f64> {
         let sum: Matrix3<f64> = self
