@@ -12,6 +12,11 @@ use super::moments::Moments;
 pub(super) const LONGEST: usize = 16;
 /// Price of a stick in units of the noise variance: chance breaks gain about 2 ln(2 L) = 7.
 const PRICE: f32 = 9.0;
+/// What a stick of one cell is cheaper: it has no slope.
+const NO_SLOPE: f32 = 2.5;
+/// Tangent of the angle of incidence up to which slopes are expected. It keeps a cell of its own
+/// from forming a line with any one cell beside it.
+const SLOPE: f32 = 6.0;
 /// Lanes that are worked on together, in registers.
 const BLOCK: usize = 8;
 /// No stick.
@@ -121,6 +126,11 @@ impl Sticks {
         sharpness[..count].copy_from_slice(&self.sharpness[here..here + count]);
         let mut best = [f32::INFINITY; BLOCK];
         let mut length = [1.0_f32; BLOCK];
+        // Relative to the scatter of the positions, what the prior of the slope is worth.
+        let doubt: [f32; BLOCK] = std::array::from_fn(|i| {
+            let slope = SLOPE * sharpness[i] * inverse[i];
+            1.0 / (slope * slope).max(1e-6)
+        });
         let (mut a, mut b, mut c) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK], [0.0_f32; BLOCK]);
         for (k, table) in self.tables.iter().enumerate() {
             let at = (step - k) * lanes + first;
@@ -135,10 +145,11 @@ impl Sticks {
                 b[i] += table.back * d;
                 c[i] += d * d;
                 let slope = b[i] - table.mean * a[i];
-                let error = c[i]
-                    - a[i] * a[i] * table.inverse_length
-                    - slope * slope * table.inverse_scatter;
-                let cost = before[i] + error.max(0.0);
+                let told = table.inverse_scatter * (1.0 - doubt[i] * table.inverse_scatter);
+                let error =
+                    c[i] - a[i] * a[i] * table.inverse_length - slope * slope * told.max(0.0);
+                let price = if k == 0 { PRICE - NO_SLOPE } else { PRICE };
+                let cost = before[i] + error.max(0.0) + price;
                 let better = cost < best[i];
                 best[i] = if better { cost } else { best[i] };
                 length[i] = if better { (k + 1) as f32 } else { length[i] };
@@ -148,7 +159,7 @@ impl Sticks {
             // A cell without a return is a stick of its own, at no price.
             let valid = sharpness[i] > 0.0;
             let at = here + i;
-            self.cost[at + lanes] = if valid { best[i] + PRICE } else { self.cost[at] };
+            self.cost[at + lanes] = if valid { best[i] } else { self.cost[at] };
             self.length[at] = if valid { length[i] as u8 } else { 1 };
         }
     }
