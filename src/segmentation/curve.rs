@@ -32,6 +32,18 @@ const ROUNDS: usize = 3;
 /// Least cosine of incidence that is believed.
 const LEAST_COSINE: f64 = 0.1;
 
+/// Part of a facet that a guess is fitted to, and how often it is chosen anew.
+const KEPT_SHARE: f64 = 0.7;
+const TRIMS: usize = 3;
+
+/// What is guessed.
+enum Guess {
+    /// A cylinder along an axis.
+    Along(Vector3<f64>),
+    /// A sphere.
+    Ball,
+}
+
 /// Buffers of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CurveFinder {
@@ -42,6 +54,10 @@ pub(super) struct CurveFinder {
     in_set: Vec<bool>,
     near: Vec<u32>,
     shares: Vec<(u32, f64)>,
+    bounds: Vec<usize>,
+    kept: Vec<bool>,
+    errors: Vec<f64>,
+    sorted: Vec<f64>,
     /// Curved surface of each region, where it is one.
     pub models: Vec<Option<Model>>,
 }
@@ -67,9 +83,8 @@ impl CurveFinder {
             if self.members[a as usize].is_empty() || self.members[b as usize].is_empty() {
                 continue;
             }
-            let guess = self.guess(sticks, grower, a, b, limits);
-            if let Some(model) = guess {
-                self.pursue(field, sticks, grower, [a, b], model, limits);
+            if let Some((model, facets)) = self.best_guess(sticks, grower, a, b, limits) {
+                self.pursue(field, sticks, grower, facets, model, limits);
             }
         }
     }
@@ -101,42 +116,88 @@ impl CurveFinder {
         self.guesses.sort_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));
     }
 
-    fn is_one_lane(&self, sticks: &Sticks, region: u32) -> bool {
+    /// First and last lane of a region: its members are in order of lanes.
+    fn lanes(&self, sticks: &Sticks, region: u32) -> (u32, u32) {
         let members = &self.members[region as usize];
-        let lane = |s: Option<&u32>| s.map(|&s| sticks.sticks[s as usize].lane);
-        lane(members.first()) == lane(members.last())
+        let lane = |s: Option<&u32>| s.map_or(0, |&s| sticks.sticks[s as usize].lane);
+        (lane(members.first()), lane(members.last()))
     }
 
-    /// The sphere or cylinder that explains two facets, if one does.
-    fn guess(
+    fn is_one_lane(&self, sticks: &Sticks, region: u32) -> bool {
+        let (first, last) = self.lanes(sticks, region);
+        first == last
+    }
+
+    /// The sphere or cylinder that explains two facets, or, where these have one lane each, which
+    /// leaves the circle open, the best that explains them and a third beside them.
+    fn best_guess(
         &mut self,
         sticks: &Sticks,
         grower: &Grower,
         a: u32,
         b: u32,
         limits: &ShapeLimits,
-    ) -> Option<Model> {
+    ) -> Option<(Model, [u32; 3])> {
+        if !(self.is_one_lane(sticks, a) && self.is_one_lane(sticks, b)) {
+            let guess = self.guess(sticks, grower, [a, b, b], limits)?;
+            return Some((guess.1, [a, b, b]));
+        }
+        let mut best: Option<(f64, Model, [u32; 3])> = None;
+        for &(c, d) in &grower.pairs {
+            let third = match (c == a || c == b, d == a || d == b) {
+                (true, false) => d,
+                (false, true) => c,
+                _ => continue,
+            };
+            let spans = [a, b, third].map(|region| self.lanes(sticks, region));
+            let narrow = spans[2].1 - spans[2].0 < 2;
+            if self.members[third as usize].is_empty()
+                || !narrow
+                || spans[2] == spans[0]
+                || spans[2] == spans[1]
+            {
+                continue;
+            }
+            if let Some((error, model)) = self.guess(sticks, grower, [a, b, third], limits)
+                && best.as_ref().is_none_or(|best| error < best.0)
+            {
+                best = Some((error, model, [a, b, third]));
+            }
+        }
+        best.map(|(_, model, facets)| (model, facets))
+    }
+
+    /// The sphere or cylinder that explains the facets, and its mean square error. A facet named
+    /// twice counts once.
+    fn guess(
+        &mut self,
+        sticks: &Sticks,
+        grower: &Grower,
+        facets: [u32; 3],
+        limits: &ShapeLimits,
+    ) -> Option<(f64, Model)> {
+        let [a, b, c] = facets;
         self.readings.clear();
-        for region in [a, b] {
+        self.bounds.clear();
+        for &region in &facets[..if c == b { 2 } else { 3 }] {
+            self.bounds.push(self.readings.len());
             for &s in &self.members[region as usize] {
                 push_stick(&mut self.readings, &sticks.sticks[s as usize]);
             }
         }
+        self.bounds.push(self.readings.len());
         let [qa, qb] = [a, b].map(|r| Vector3::from(grower.regions[r as usize].plane.q));
         let axis = qa.cross(&qb).try_normalize(1e-12);
         let spread = self.readings.principal_axis();
-        let candidates = [
-            axis.and_then(|axis| circle_along(&self.readings, &axis)),
-            circle_along(&self.readings, &spread),
-            ball_through(&self.readings),
-        ];
         let mut best: Option<(f64, Model)> = None;
-        for model in candidates.into_iter().flatten() {
+        for candidate in [axis.map(Guess::Along), Some(Guess::Along(spread)), Some(Guess::Ball)] {
+            let Some((error, model)) = candidate.and_then(|guess| self.trimmed_fit(&guess)) else {
+                continue;
+            };
             let radius_m = match &model {
                 Model::Cylinder { radius_m, .. } | Model::Sphere { radius_m, .. } => *radius_m,
                 Model::Plane { .. } => f64::INFINITY,
             };
-            let error = error_of(&self.readings, &model) / self.readings.len() as f64;
             // Each stick end stands for several readings, so a good guess has an error of one.
             if radius_m <= limits.max_radius_m
                 && error < GUESS_ERROR
@@ -145,7 +206,45 @@ impl CurveFinder {
                 best = Some((error, model));
             }
         }
-        best.map(|(_, model)| model)
+        best
+    }
+
+    /// An algebraic fit to the best part of each facet, and the mean square error of that part: a
+    /// facet may have taken in a stick that is not its own.
+    fn trimmed_fit(&mut self, guess: &Guess) -> Option<(f64, Model)> {
+        let fit = |readings: &Readings, kept: &[bool]| match guess {
+            Guess::Along(axis) => circle_along(readings, kept, axis),
+            Guess::Ball => ball_through(readings, kept),
+        };
+        self.kept.clear();
+        self.kept.resize(self.readings.len(), true);
+        let mut model = fit(&self.readings, &self.kept)?;
+        let mut mean = f64::INFINITY;
+        for _ in 0..TRIMS {
+            let readings = &self.readings;
+            self.errors.clear();
+            self.errors.extend((0..readings.len()).map(|i| {
+                model.error(&readings.points[i], &readings.rays[i], readings.sigmas[i]).powi(2)
+            }));
+            let (mut sum, mut count) = (0.0, 0.0);
+            for bounds in self.bounds.windows(2) {
+                let part = bounds[0]..bounds[1];
+                self.sorted.clear();
+                self.sorted.extend_from_slice(&self.errors[part.clone()]);
+                let last = (KEPT_SHARE * (part.len() - 1) as f64).ceil() as usize;
+                let limit = *self.sorted.select_nth_unstable_by(last, f64::total_cmp).1;
+                for i in part {
+                    self.kept[i] = self.errors[i] <= limit;
+                    if self.kept[i] {
+                        sum += self.errors[i];
+                        count += 1.0;
+                    }
+                }
+            }
+            mean = sum / count;
+            model = fit(&self.readings, &self.kept)?;
+        }
+        Some((mean, model))
     }
 
     /// Grows a guess and installs it if it is worth its price.
@@ -154,7 +253,7 @@ impl CurveFinder {
         field: &Field,
         sticks: &Sticks,
         grower: &mut Grower,
-        facets: [u32; 2],
+        facets: [u32; 3],
         mut model: Model,
         limits: &ShapeLimits,
     ) {
@@ -190,7 +289,7 @@ impl CurveFinder {
         field: &Field,
         sticks: &Sticks,
         grower: &Grower,
-        facets: [u32; 2],
+        facets: [u32; 3],
         model: &Model,
     ) {
         self.set.clear();
@@ -198,7 +297,7 @@ impl CurveFinder {
         for facet in facets {
             for &s in &self.members[facet as usize] {
                 let stick = &sticks.sticks[s as usize];
-                if fits(model, stick) {
+                if !self.in_set[s as usize] && fits(model, stick) {
                     self.set.push(s);
                     self.in_set[s as usize] = true;
                     readings += stick.n;
@@ -288,12 +387,6 @@ fn push_stick(readings: &mut Readings, stick: &Stick) {
     }
 }
 
-fn error_of(readings: &Readings, model: &Model) -> f64 {
-    (0..readings.len())
-        .map(|i| model.error(&readings.points[i], &readings.rays[i], readings.sigmas[i]).powi(2))
-        .sum()
-}
-
 /// Errors of the ends of a stick in standard deviations of one reading.
 fn deviations(model: &Model, stick: &Stick) -> [f64; 2] {
     stick.ends.map(|end| {
@@ -315,7 +408,7 @@ fn stick_error(model: &Model, stick: &Stick) -> f64 {
 }
 
 /// The cylinder along `axis` whose circle fits the readings algebraically.
-fn circle_along(readings: &Readings, axis: &Vector3<f64>) -> Option<Model> {
+fn circle_along(readings: &Readings, kept: &[bool], axis: &Vector3<f64>) -> Option<Model> {
     let mut helper = Vector3::zeros();
     helper[axis.iamin()] = 1.0;
     let e1 = axis.cross(&helper).normalize();
@@ -323,7 +416,7 @@ fn circle_along(readings: &Readings, axis: &Vector3<f64>) -> Option<Model> {
     let centroid = readings.centroid();
     let mut normal = Matrix3::<f64>::zeros();
     let mut right = Vector3::<f64>::zeros();
-    for (p, sigma) in readings.points.iter().zip(&readings.sigmas) {
+    for ((p, sigma), _) in readings.points.iter().zip(&readings.sigmas).zip(kept).filter(|x| *x.1) {
         let d = p - centroid;
         let (a, b) = (e1.dot(&d), e2.dot(&d));
         let row = Vector3::new(2.0 * a, 2.0 * b, 1.0);
@@ -338,11 +431,11 @@ fn circle_along(readings: &Readings, axis: &Vector3<f64>) -> Option<Model> {
 }
 
 /// The sphere that fits the readings algebraically.
-fn ball_through(readings: &Readings) -> Option<Model> {
+fn ball_through(readings: &Readings, kept: &[bool]) -> Option<Model> {
     let centroid = readings.centroid();
     let mut normal = Matrix4::<f64>::zeros();
     let mut right = Vector4::<f64>::zeros();
-    for (p, sigma) in readings.points.iter().zip(&readings.sigmas) {
+    for ((p, sigma), _) in readings.points.iter().zip(&readings.sigmas).zip(kept).filter(|x| *x.1) {
         let d = p - centroid;
         let row = Vector4::new(2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0);
         let weight = 1.0 / (sigma * sigma);
