@@ -102,7 +102,7 @@ impl CurveFinder {
     /// Pairs of facets that turn, the largest first.
     fn collect_guesses(&mut self, sticks: &Sticks, grower: &Grower) {
         self.guesses.clear();
-        for &(a, b) in &grower.pairs {
+        for &(a, b) in &grower.merger.pairs {
             let (first, second) = (&grower.regions[a as usize], &grower.regions[b as usize]);
             let (qa, qb) = (Vector3::from(first.plane.q), Vector3::from(second.plane.q));
             let cosine = qa.dot(&qb) / (qa.norm() * qb.norm());
@@ -143,7 +143,7 @@ impl CurveFinder {
             return Some((guess.1, [a, b, b]));
         }
         let mut best: Option<(f64, Model, [u32; 3])> = None;
-        for &(c, d) in &grower.pairs {
+        for &(c, d) in &grower.merger.pairs {
             let third = match (c == a || c == b, d == a || d == b) {
                 (true, false) => d,
                 (false, true) => c,
@@ -365,7 +365,6 @@ impl CurveFinder {
         for &s in &self.set {
             let stick = &sticks.sticks[s as usize];
             stick.add_to(&mut region.moments);
-            region.scatter += stick.error;
             grower.region_of[s as usize] = label;
         }
         region.plane = super::grow::Plane::of(&region.moments);

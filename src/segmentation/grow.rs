@@ -4,6 +4,7 @@
 //! how well the plane is known so far.
 
 use super::field::Field;
+use super::merge::Merger;
 use super::moments::Moments;
 use super::sticks::{NO_STICK, Stick, Sticks};
 
@@ -21,10 +22,6 @@ const SEED_ERROR: f64 = 16.0;
 const WIDEST_GATE: f64 = 8.0;
 /// Fewest readings of a region that is kept.
 const FEWEST: f64 = 6.0;
-/// Rise of the error, in units of the noise, that a merge of two regions may always cost.
-const FREE_RISE: f64 = 25.0;
-/// Further rise per reading of the smaller region: surfaces and sensors are not perfect.
-const RISE_PER_READING: f64 = 0.1;
 /// Scatter of a stick about its own line, per reading, beyond which it is no seed.
 const ROUGH: f64 = 2.5;
 
@@ -33,8 +30,6 @@ const ROUGH: f64 = 2.5;
 pub(super) struct Region {
     pub moments: Moments,
     pub plane: Plane,
-    /// Sum of squared errors of its sticks about their own lines.
-    pub scatter: f64,
 }
 
 /// A plane `q · p = 1` and how well it is known.
@@ -76,9 +71,8 @@ pub(super) struct Grower {
     order: Vec<u32>,
     front: Vec<u32>,
     near: Vec<u32>,
-    /// Regions that touch, each pair once, the smaller number first.
-    pub pairs: Vec<(u32, u32)>,
-    parents: Vec<u32>,
+    moments: Vec<Moments>,
+    pub merger: Merger,
 }
 
 /// On how many sides a seed needs a neighbour. Two sides prove a plane; narrow surfaces have one
@@ -134,7 +128,6 @@ impl Grower {
         for s in members.into_iter().flatten() {
             let stick = &sticks.sticks[s as usize];
             stick.add_to(&mut region.moments);
-            region.scatter += stick.error;
             if stick.error > ROUGH * stick.n {
                 return;
             }
@@ -172,7 +165,6 @@ impl Grower {
                 if self.region_of[s as usize] == 0 && region.plane.fits(other) {
                     self.region_of[s as usize] = label;
                     other.add_to(&mut region.moments);
-                    region.scatter += other.error;
                     region.plane = Plane::of(&region.moments);
                     self.front.push(s);
                 }
@@ -181,73 +173,30 @@ impl Grower {
         }
     }
 
-    /// Merges neighbouring regions that one plane explains, until nothing changes.
+    /// Merges neighbouring regions that one plane explains.
     fn merge(&mut self, field: &Field, sticks: &Sticks) {
-        self.find_pairs(field, sticks);
-        self.parents.clear();
-        self.parents.extend(0..self.regions.len() as u32);
-        let mut changed = true;
-        while changed {
-            changed = false;
-            for i in 0..self.pairs.len() {
-                let (a, b) = self.pairs[i];
-                let (a, b) = (self.root(a) as usize, self.root(b) as usize);
-                if a == b {
-                    continue;
-                }
-                let (keep, drop) = (a.min(b), a.max(b));
-                let (first, second) = (&self.regions[keep], &self.regions[drop]);
-                let moments = first.moments.plus(&second.moments);
-                let plane = Plane::of(&moments);
-                let rise = moments.cost(&plane.q)
-                    - first.moments.cost(&first.plane.q)
-                    - second.moments.cost(&second.plane.q);
-                let fewer = first.moments.n.min(second.moments.n);
-                if rise < FREE_RISE + RISE_PER_READING * fewer {
-                    let scatter = first.scatter + second.scatter;
-                    self.regions[keep] = Region { moments, plane, scatter };
-                    self.parents[drop] = keep as u32;
-                    changed = true;
-                }
-            }
-        }
-        for s in 0..self.region_of.len() {
-            self.region_of[s] = self.root(self.region_of[s]);
-        }
-        for i in 0..self.pairs.len() {
-            let (a, b) = self.pairs[i];
-            let (a, b) = (self.root(a), self.root(b));
-            self.pairs[i] = (a.min(b), a.max(b));
-        }
-        self.pairs.sort_unstable();
-        self.pairs.dedup();
-        self.pairs.retain(|&(a, b)| a != b);
-    }
-
-    fn find_pairs(&mut self, field: &Field, sticks: &Sticks) {
-        self.pairs.clear();
+        self.merger.pairs.clear();
         for s in 0..sticks.sticks.len() as u32 {
-            let a = self.region_of[s as usize];
-            if a == 0 {
-                continue;
-            }
-            neighbours(field, sticks, s, &mut self.near);
-            for &other in &self.near {
-                let b = self.region_of[other as usize];
-                if b != 0 && a < b {
-                    self.pairs.push((a, b));
+            let region = self.region_of[s as usize];
+            if region != 0 {
+                neighbours(field, sticks, s, &mut self.near);
+                for &other in &self.near {
+                    self.merger.push_pair(region, self.region_of[other as usize]);
                 }
             }
         }
-        self.pairs.sort_unstable();
-        self.pairs.dedup();
-    }
-
-    fn root(&self, mut label: u32) -> u32 {
-        while self.parents[label as usize] != label {
-            label = self.parents[label as usize];
+        self.merger.sort_pairs();
+        self.moments.clear();
+        self.moments.extend(self.regions.iter().map(|region| region.moments));
+        self.merger.merge(&mut self.moments, |_| true);
+        for (region, moments) in self.regions.iter_mut().zip(&self.moments) {
+            if region.moments.n != moments.n {
+                *region = Region { moments: *moments, plane: Plane::of(moments) };
+            }
         }
-        label
+        for region in &mut self.region_of {
+            *region = self.merger.root(*region);
+        }
     }
 
     fn best_overlap(&self, field: &Field, sticks: &Sticks, stick: u32, lane: usize) -> Option<u32> {

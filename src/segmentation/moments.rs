@@ -49,6 +49,11 @@ impl Moments {
         self.n += other.n;
     }
 
+    pub fn sub_point(&mut self, [x, y, z]: [f64; 3], v: f64) {
+        self.add_point([x, y, z], -v);
+        self.n -= 2.0;
+    }
+
     /// The sums of both.
     #[must_use]
     pub fn plus(&self, other: &Self) -> Self {
@@ -112,11 +117,6 @@ impl Moments {
     pub fn cost(&self, q: &[f64; 3]) -> f64 {
         self.error(q) + self.prior() * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     }
-
-    /// Sum of the squared errors under the best plane.
-    pub fn least_error(&self) -> f64 {
-        self.error(&self.solve())
-    }
 }
 
 #[cfg(test)]
@@ -134,13 +134,13 @@ mod tests {
         let mut moments = Moments::default();
         for i in 0..30 {
             let (a, b) = (f64::from(i % 6) * 0.02, f64::from(i / 6) * 0.01);
-            moments.add_point(on_plane(q, [1.0, a, b]), 400.0);
+            moments.add_point(on_plane(q, [1.0, a, b]), 1e7);
         }
         let found = moments.solve();
         for i in 0..3 {
-            assert!((found[i] - q[i]).abs() < 1e-5, "{found:?}");
+            assert!((found[i] - q[i]).abs() < 1e-4, "{found:?}");
         }
-        assert!(moments.least_error() < 1e-4);
+        assert!(moments.error(&found) < 1e-3);
     }
 
     #[test]

@@ -5,6 +5,8 @@ use super::config::SegmentationConfig;
 use super::curve::CurveFinder;
 use super::field::Field;
 use super::grow::Grower;
+use super::merge::Merger;
+use super::moments::Moments;
 use super::sticks::{NO_STICK, Sticks};
 use super::{Stage, StageImage};
 
@@ -17,6 +19,8 @@ pub(super) struct StickChain {
     curves: CurveFinder,
     rivals: Vec<Rival>,
     competition: Competition,
+    moments: Vec<Moments>,
+    merger: Merger,
 }
 
 impl StickChain {
@@ -50,7 +54,33 @@ impl StickChain {
             });
         }
         self.competition.settle(field, &self.rivals, labels);
+        self.merge(field, labels);
+        self.competition.settle(field, &self.rivals, labels);
         observe(Stage::Split);
+    }
+
+    /// Merges planes that touch now that the cells are settled, and fits them anew.
+    fn merge(&mut self, field: &Field, labels: &mut [u32]) {
+        self.moments.clear();
+        self.moments.extend(self.grower.regions.iter().map(|region| region.moments));
+        for (cell, (&before, &now)) in self.grown.iter().zip(labels.iter()).enumerate() {
+            if before != now {
+                let (point, weight) = (field.point(cell), field.weight(cell));
+                self.moments[before as usize].sub_point(point, weight);
+                self.moments[now as usize].add_point(point, weight);
+            }
+        }
+        self.merger.pairs_of_labels(labels, field.lanes);
+        let models = &self.curves.models;
+        self.merger.merge(&mut self.moments, |label| models[label as usize].is_none());
+        for label in labels.iter_mut() {
+            *label = self.merger.root(*label);
+        }
+        for (label, rival) in self.rivals.iter_mut().enumerate() {
+            if let Rival::Plane(q) = rival {
+                *q = self.moments[label].solve().map(|v| v as f32);
+            }
+        }
     }
 
     /// The stages as pictures, in field order.
