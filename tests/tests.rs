@@ -7,3 +7,4 @@ mod mapping;
 mod protocol;
 mod terrain;
 mod truth;
+mod segmentation;

@@ -4,7 +4,9 @@ use crate::export::segment_images::write_stage_images;
 use crate::files::pcd::read_pcd;
 use crate::files::replace::replace_file;
 use crate::scan::PointGrid;
-use crate::segmentation::{Segmentation, SegmentationConfig, Segmenter, Shape, Stage, Surface};
+use crate::segmentation::{
+    Method, Segmentation, SegmentationConfig, Segmenter, Shape, Stage, Surface,
+};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
@@ -60,8 +62,10 @@ enum Format {
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum MethodArgument {
-    /// The paper's chain
+    /// Sticks grown to regions
     #[default]
+    Sticks,
+    /// The paper's chain
     Paper,
 }
 
@@ -92,7 +96,11 @@ pub fn run(arguments: &SegmentArguments) -> Result<ExitCode> {
         );
     }
     let grid = whole.columns_only(columns.clone());
-    let mut config = SegmentationConfig::default();
+    let method = match arguments.method {
+        MethodArgument::Sticks => Method::Sticks,
+        MethodArgument::Paper => Method::Paper,
+    };
+    let mut config = SegmentationConfig { method, ..SegmentationConfig::default() };
     if let Some(min_points) = arguments.min_points {
         config.min_points = min_points;
     }

@@ -4,8 +4,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// The paper's chain: residual image, morphology, flood fill, check by normals.
+    /// Lines of the grid cut into sticks, sticks grown to regions, borders settled cell by cell.
     #[default]
+    Sticks,
+    /// The paper's chain: residual image, morphology, flood fill, check by normals.
     Paper,
 }
 

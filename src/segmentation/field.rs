@@ -57,6 +57,12 @@ impl Field {
         self.noise.sigma_m(f64::from(self.range[cell]))
     }
 
+    /// Weight of a cell in [`Moments`](super::moments::Moments): `r² / σ²`.
+    pub fn weight(&self, cell: usize) -> f64 {
+        let range = f64::from(self.range[cell]);
+        range * range / self.noise.variance(range)
+    }
+
     pub fn point(&self, cell: usize) -> [f64; 3] {
         [f64::from(self.x[cell]), f64::from(self.y[cell]), f64::from(self.z[cell])]
     }

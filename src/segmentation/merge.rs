@@ -1,108 +1,101 @@
 //! Neighbouring planar regions that one plane explains become one.
 
-use super::field::Field;
 use super::moments::Moments;
 
-/// Rise of the error, in units of the noise, that a merge may always cost: three parameters fewer.
-const FREE_RISE: f64 = 30.0;
+/// Rise of the error, in units of the noise, that a merge may always cost: three parameters and an
+/// outline fewer.
+const FREE_RISE: f64 = 25.0;
 /// Further rise per reading of the smaller region: surfaces and sensors are not perfect.
 const RISE_PER_READING: f64 = 0.1;
-/// Cells between two regions that are still neighbours.
-const REACH: usize = 2;
 
-/// Buffers of the merge.
+/// Merges regions, which are numbered from 1.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Merger {
-    moments: Vec<Moments>,
-    errors: Vec<f64>,
+    /// Regions that touch, each pair once, the smaller number first.
+    pub pairs: Vec<(u32, u32)>,
     parents: Vec<u32>,
-    pairs: Vec<(u32, u32)>,
+    costs: Vec<f64>,
 }
 
 impl Merger {
-    /// Merges regions of `labels` (1 to `count`), in place; `flat` says which are planes. Pairs are
-    /// tried in order of their labels until nothing changes, so the result does not depend on chance.
-    pub fn merge(&mut self, field: &Field, labels: &mut [u32], count: usize, flat: &[bool]) {
-        self.measure(field, labels, count);
-        self.find_pairs(field, labels);
+    /// Lists the pairs of labels that touch in an image, corners included.
+    pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize) {
+        self.pairs.clear();
+        for (step, row) in labels.chunks_exact(width.max(1)).enumerate() {
+            let next = labels.get((step + 1) * width..(step + 2) * width);
+            for lane in 0..width {
+                let label = row[lane];
+                if let Some(&right) = row.get(lane + 1) {
+                    self.push_pair(label, right);
+                }
+                if let Some(next) = next {
+                    self.push_pair(label, next[lane]);
+                    if lane > 0 {
+                        self.push_pair(label, next[lane - 1]);
+                    }
+                    if lane + 1 < width {
+                        self.push_pair(label, next[lane + 1]);
+                    }
+                }
+            }
+        }
+        self.sort_pairs();
+    }
+
+    /// Adds a pair of labels unless they are equal or one is none.
+    pub fn push_pair(&mut self, a: u32, b: u32) {
+        let pair = (a.min(b), a.max(b));
+        if a != b && a != 0 && b != 0 && self.pairs.last() != Some(&pair) {
+            self.pairs.push(pair);
+        }
+    }
+
+    pub fn sort_pairs(&mut self) {
+        self.pairs.sort_unstable();
+        self.pairs.dedup();
+    }
+
+    /// Merges the listed pairs as long as one plane explains both of two regions, in the order of
+    /// their numbers; `moments` of a region that is gone are left as they were. Only regions for
+    /// which `flat` holds take part. Afterwards the pairs are those of what is left.
+    pub fn merge(&mut self, moments: &mut [Moments], flat: impl Fn(u32) -> bool) {
+        self.parents.clear();
+        self.parents.extend(0..moments.len() as u32);
+        self.costs.clear();
+        self.costs.extend(moments.iter().map(|m| m.cost(&m.solve())));
         let mut changed = true;
         while changed {
             changed = false;
             for i in 0..self.pairs.len() {
                 let (a, b) = self.pairs[i];
                 let (a, b) = (self.root(a), self.root(b));
-                if a == b || !flat[a as usize - 1] || !flat[b as usize - 1] {
+                if a == b || !flat(a) || !flat(b) {
                     continue;
                 }
                 let (keep, drop) = (a.min(b) as usize, a.max(b) as usize);
-                let sum = self.moments[keep].plus(&self.moments[drop]);
-                let error = sum.least_error();
-                let fewer = self.moments[keep].n.min(self.moments[drop].n);
-                let rise = error - self.errors[keep] - self.errors[drop];
+                let sum = moments[keep].plus(&moments[drop]);
+                let cost = sum.cost(&sum.solve());
+                let fewer = moments[keep].n.min(moments[drop].n);
+                let rise = cost - self.costs[keep] - self.costs[drop];
                 if rise < FREE_RISE + RISE_PER_READING * fewer {
-                    self.moments[keep] = sum;
-                    self.errors[keep] = error;
+                    moments[keep] = sum;
+                    self.costs[keep] = cost;
                     self.parents[drop] = keep as u32;
                     changed = true;
                 }
             }
         }
-        for label in labels.iter_mut() {
-            *label = self.root(*label);
+        for i in 0..self.pairs.len() {
+            let (a, b) = self.pairs[i];
+            let (a, b) = (self.root(a), self.root(b));
+            self.pairs[i] = (a.min(b), a.max(b));
         }
+        self.pairs.retain(|&(a, b)| a != b);
+        self.sort_pairs();
     }
 
-    fn measure(&mut self, field: &Field, labels: &[u32], count: usize) {
-        self.moments.clear();
-        self.moments.resize(count + 1, Moments::default());
-        for (cell, &label) in labels.iter().enumerate() {
-            if label != 0 {
-                let range = f64::from(field.range[cell]);
-                let weight = range * range / field.noise.variance(range);
-                self.moments[label as usize].add_point(field.point(cell), weight);
-            }
-        }
-        self.errors.clear();
-        self.errors.extend(self.moments.iter().map(Moments::least_error));
-        self.parents.clear();
-        self.parents.extend(0..=count as u32);
-    }
-
-    fn find_pairs(&mut self, field: &Field, labels: &[u32]) {
-        self.pairs.clear();
-        let (steps, lanes) = (field.steps, field.lanes);
-        for step in 0..steps {
-            for lane in 0..lanes {
-                let label = labels[step * lanes + lane];
-                if label == 0 {
-                    continue;
-                }
-                for reach in 1..=REACH {
-                    for (s, l) in
-                        [(step + reach, lane), (step, lane + reach), (step + reach, lane + reach)]
-                    {
-                        if s < steps && l < lanes {
-                            self.push_pair(label, labels[s * lanes + l]);
-                        }
-                    }
-                    if step + reach < steps && lane >= reach {
-                        self.push_pair(label, labels[(step + reach) * lanes + lane - reach]);
-                    }
-                }
-            }
-        }
-        self.pairs.sort_unstable();
-        self.pairs.dedup();
-    }
-
-    fn push_pair(&mut self, a: u32, b: u32) {
-        let pair = (a.min(b), a.max(b));
-        if a != b && b != 0 && self.pairs.last() != Some(&pair) {
-            self.pairs.push(pair);
-        }
-    }
-
-    fn root(&self, mut label: u32) -> u32 {
+    /// The region that a region has become part of.
+    pub fn root(&self, mut label: u32) -> u32 {
         while self.parents[label as usize] != label {
             label = self.parents[label as usize];
         }

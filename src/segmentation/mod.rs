@@ -8,11 +8,14 @@
 mod absorb;
 mod assemble;
 mod axes;
+mod compete;
 mod components;
 mod config;
+mod curve;
 mod field;
 mod fill;
 mod fit;
+mod grow;
 mod hull;
 mod merge;
 mod moments;
@@ -21,6 +24,8 @@ mod noise;
 mod paper;
 mod residual;
 mod split;
+mod stick_chain;
+mod sticks;
 mod surface;
 
 pub use config::{Method, PaperConfig, SegmentationConfig, ShapeLimits};
@@ -32,6 +37,7 @@ use assemble::Assembler;
 use field::Field;
 use noise::NoiseEstimator;
 use paper::PaperChain;
+use stick_chain::StickChain;
 
 /// The stages of the chain, in the order in which they end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -101,6 +107,7 @@ pub struct Segmenter {
     field: Field,
     noise_estimator: NoiseEstimator,
     paper: PaperChain,
+    sticks: StickChain,
     labels: Vec<u32>,
     assembler: Assembler,
     result: Segmentation,
@@ -136,6 +143,9 @@ impl Segmenter {
             Method::Paper => {
                 self.paper.run(&self.field, &self.config, &mut self.labels, observe);
             }
+            Method::Sticks => {
+                self.sticks.run(&self.field, &self.config, &mut self.labels, observe);
+            }
         }
         self.assembler.assemble(
             &self.field,
@@ -162,6 +172,7 @@ impl Segmenter {
     pub fn stage_images(&self) -> Vec<StageImage> {
         let images = match self.config.method {
             Method::Paper => self.paper.images(),
+            Method::Sticks => self.sticks.images(),
         };
         images.into_iter().map(|image| image.in_grid_order(&self.field)).collect()
     }

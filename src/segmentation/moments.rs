@@ -6,6 +6,9 @@
 //! `v = r² / σ²`: `c - 2 q·b + qᵀ A q`, where `A = Σ v p pᵀ`, `b = Σ v p`, `c = Σ v`.
 //! Two regions become one by adding their sums.
 
+/// Tangent of the angle of incidence up to which planes are expected: 72°.
+const SLOPE: f64 = 3.0;
+
 /// The ten sums and the number of readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Moments {
@@ -46,6 +49,11 @@ impl Moments {
         self.n += other.n;
     }
 
+    pub fn sub_point(&mut self, [x, y, z]: [f64; 3], v: f64) {
+        self.add_point([x, y, z], -v);
+        self.n -= 2.0;
+    }
+
     /// The sums of both.
     #[must_use]
     pub fn plus(&self, other: &Self) -> Self {
@@ -54,25 +62,46 @@ impl Moments {
         sum
     }
 
-    /// The best `q`, by Cholesky's decomposition.
+    /// What is believed of a plane before it is seen: the tangent of the angle of incidence, which is
+    /// the slope of `q` against the ray in units of the inverse range, is about [`SLOPE`] at most.
     ///
-    /// Readings on one ray or one line leave `q` free across it. A ridge of 1e-9 of the trace
-    /// keeps that part finite; against readings that do fix `q` it is below their noise.
+    /// Readings on one ray or one line leave `q` free across it; this keeps that part finite and its
+    /// variance honest. Against readings that do fix `q` it is far below their noise.
+    fn prior(&self) -> f64 {
+        let [xx, _, _, yy, _, zz] = self.a;
+        (xx + yy + zz + f64::MIN_POSITIVE) / (SLOPE * SLOPE * (self.c + f64::MIN_POSITIVE))
+    }
+
+    /// The best `q`, by Cholesky's decomposition.
     pub fn solve(&self) -> [f64; 3] {
+        self.solve_with_covariance().0
+    }
+
+    /// The best `q` and the inverse of `A`, its covariance: xx, xy, xz, yy, yz, zz.
+    pub fn solve_with_covariance(&self) -> ([f64; 3], [f64; 6]) {
         let [xx, xy, xz, yy, yz, zz] = self.a;
-        let ridge = 1e-9 * (xx + yy + zz) + f64::MIN_POSITIVE;
-        let l00 = (xx + ridge).sqrt();
-        let (l10, l20) = (xy / l00, xz / l00);
-        let l11 = (yy + ridge - l10 * l10).max(ridge).sqrt();
-        let l21 = (yz - l20 * l10) / l11;
-        let l22 = (zz + ridge - l20 * l20 - l21 * l21).max(ridge).sqrt();
-        let w0 = self.b[0] / l00;
-        let w1 = (self.b[1] - l10 * w0) / l11;
-        let w2 = (self.b[2] - l20 * w0 - l21 * w1) / l22;
-        let q2 = w2 / l22;
-        let q1 = (w1 - l21 * q2) / l11;
-        let q0 = (w0 - l10 * q1 - l20 * q2) / l00;
-        [q0, q1, q2]
+        let ridge = self.prior();
+        // A = L Lᵀ; with M = L⁻¹ the covariance is Mᵀ M, and q follows from it.
+        let m00 = 1.0 / (xx + ridge).sqrt();
+        let (l10, l20) = (xy * m00, xz * m00);
+        let m11 = 1.0 / (yy + ridge - l10 * l10).max(ridge).sqrt();
+        let l21 = (yz - l20 * l10) * m11;
+        let m22 = 1.0 / (zz + ridge - l20 * l20 - l21 * l21).max(ridge).sqrt();
+        let m10 = -l10 * m00 * m11;
+        let m21 = -l21 * m11 * m22;
+        let m20 = -(l20 * m00 + l21 * m10) * m22;
+        let covariance = [
+            m00 * m00 + m10 * m10 + m20 * m20,
+            m10 * m11 + m20 * m21,
+            m20 * m22,
+            m11 * m11 + m21 * m21,
+            m21 * m22,
+            m22 * m22,
+        ];
+        let [b0, b1, b2] = self.b;
+        let w = [m00 * b0, m10 * b0 + m11 * b1, m20 * b0 + m21 * b1 + m22 * b2];
+        let q = [m00 * w[0] + m10 * w[1] + m20 * w[2], m11 * w[1] + m21 * w[2], m22 * w[2]];
+        (q, covariance)
     }
 
     /// Sum of the squared errors under the plane `q`, in units of the noise.
@@ -84,9 +113,9 @@ impl Moments {
         (self.c - 2.0 * (self.b[0] * x + self.b[1] * y + self.b[2] * z) + quadratic).max(0.0)
     }
 
-    /// Sum of the squared errors under the best plane.
-    pub fn least_error(&self) -> f64 {
-        self.error(&self.solve())
+    /// As [`error`](Self::error), with what the prior says against the plane.
+    pub fn cost(&self, q: &[f64; 3]) -> f64 {
+        self.error(q) + self.prior() * (q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
     }
 }
 
@@ -105,13 +134,13 @@ mod tests {
         let mut moments = Moments::default();
         for i in 0..30 {
             let (a, b) = (f64::from(i % 6) * 0.02, f64::from(i / 6) * 0.01);
-            moments.add_point(on_plane(q, [1.0, a, b]), 400.0);
+            moments.add_point(on_plane(q, [1.0, a, b]), 1e7);
         }
         let found = moments.solve();
         for i in 0..3 {
-            assert!((found[i] - q[i]).abs() < 1e-5, "{found:?}");
+            assert!((found[i] - q[i]).abs() < 1e-4, "{found:?}");
         }
-        assert!(moments.least_error() < 1e-4);
+        assert!(moments.error(&found) < 1e-3);
     }
 
     #[test]

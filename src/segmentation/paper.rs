@@ -12,6 +12,7 @@ use super::field::Field;
 use super::fill::flood_fill;
 use super::fit::{Fitted, Model, Readings, choose};
 use super::merge::Merger;
+use super::moments::Moments;
 use super::morphology::Morphology;
 use super::residual::{Residual, scale};
 use super::split::Splitter;
@@ -40,6 +41,7 @@ pub(super) struct PaperChain {
     models: Vec<Option<Model>>,
     absorber: Absorber,
     merger: Merger,
+    moments: Vec<Moments>,
     flat: Vec<bool>,
 }
 
@@ -81,7 +83,7 @@ impl PaperChain {
         );
         self.flat.clear();
         self.flat.extend(self.models.iter().map(|m| matches!(m, Some(Model::Plane { .. }))));
-        self.merger.merge(field, labels, self.models.len(), &self.flat);
+        self.merge(field, labels);
         observe(Stage::Split);
     }
 
@@ -130,6 +132,24 @@ impl PaperChain {
                 }),
                 Fitted::Other => None,
             });
+        }
+    }
+
+    /// Merges planar regions that touch and lie on one plane.
+    fn merge(&mut self, field: &Field, labels: &mut [u32]) {
+        self.moments.clear();
+        self.moments.resize(self.models.len() + 1, Moments::default());
+        for (cell, &label) in labels.iter().enumerate() {
+            if label != 0 {
+                let weight = field.weight(cell);
+                self.moments[label as usize].add_point(field.point(cell), weight);
+            }
+        }
+        self.merger.pairs_of_labels(labels, field.lanes);
+        let flat = &self.flat;
+        self.merger.merge(&mut self.moments, |label| flat[label as usize - 1]);
+        for label in labels.iter_mut() {
+            *label = self.merger.root(*label);
         }
     }
 

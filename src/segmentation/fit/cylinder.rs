@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Matrix5, SVector, Vector3};
 const ROUNDS: usize = 10;
 
 /// A fitted cylinder.
-pub(super) struct CylinderFit {
+pub(in super::super) struct CylinderFit {
     /// The point of the axis nearest to the centroid of the readings.
     pub foot: Vector3<f64>,
     pub axis: Vector3<f64>,
@@ -22,7 +22,10 @@ impl CylinderFit {
 }
 
 /// Fits a cylinder from the best of the candidate axes; `None` where none leads anywhere.
-pub(super) fn fit_cylinder(readings: &Readings, axes: &[Vector3<f64>]) -> Option<CylinderFit> {
+pub(in super::super) fn fit_cylinder(
+    readings: &Readings,
+    axes: &[Vector3<f64>],
+) -> Option<CylinderFit> {
     let centroid = readings.centroid();
     let start = axes
         .iter()

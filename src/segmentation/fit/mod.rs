@@ -11,7 +11,9 @@ mod plane;
 mod sphere;
 
 pub(super) use choose::choose;
+pub(super) use cylinder::fit_cylinder;
 pub(super) use plane::{PlaneFit, fit_plane};
+pub(super) use sphere::fit_sphere;
 
 use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, Unit, Vector3};
 
@@ -58,6 +60,12 @@ impl Readings {
 
     pub fn centroid(&self) -> Vector3<f64> {
         self.points.iter().sum::<Vector3<f64>>() / self.len().max(1) as f64
+    }
+
+    /// The direction in which the points extend most.
+    pub fn principal_axis(&self) -> Vector3<f64> {
+        let eigen = self.covariance(&self.centroid()).symmetric_eigen();
+        eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned()
     }
 
     /// Scatter about the centroid, divided by the number of points.

@@ -6,7 +6,7 @@ use nalgebra::{Matrix4, Vector3, Vector4};
 const ROUNDS: usize = 8;
 
 /// A fitted sphere.
-pub(super) struct SphereFit {
+pub(in super::super) struct SphereFit {
     pub centre: Vector3<f64>,
     pub radius_m: f64,
     pub covariance: Matrix4<f64>,
@@ -19,7 +19,7 @@ impl SphereFit {
 }
 
 /// Fits a sphere; `None` where the readings lie in a plane or the iteration leaves the region.
-pub(super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
+pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
     let centroid = readings.centroid();
     let (mut centre, mut radius_m) = algebraic(readings, &centroid)?;
     let mut fit = None;

@@ -1,0 +1,447 @@
+//! Facets of one curved surface become a sphere or a cylinder.
+//!
+//! Growth by planes leaves a curved surface in facets, each as wide as the noise lets a plane be.
+//! Two neighbouring facets determine a cylinder (its axis is perpendicular to both normals) and a
+//! sphere. Where such a guess explains both facets it grows over the sticks around it, and it
+//! replaces what was there if it explains the same readings at a lower price.
+
+use super::config::ShapeLimits;
+use super::field::Field;
+use super::fit::{Model, Readings, fit_cylinder, fit_sphere};
+use super::grow::{Grower, neighbours};
+use super::sticks::{Stick, Sticks};
+use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
+
+/// Price of a surface in units of the noise variance: its parameters and its outline.
+const PRICE: f64 = 30.0;
+/// Price of a reading that no surface explains.
+const UNEXPLAINED: f64 = 4.0;
+/// Mean square error up to which a guess from two facets is followed.
+const GUESS_ERROR: f64 = 4.0;
+/// Angles between the normals of two facets of a curved surface, as cosines: 4° to 75°.
+const SMALLEST_TURN: f64 = 0.9976;
+const LARGEST_TURN: f64 = 0.26;
+/// Gate of the growth in standard deviations of what is compared, and what is always allowed in
+/// standard deviations of one reading.
+const GATE: f64 = 3.0;
+const SLACK: f64 = 0.7;
+/// A region this many times larger than a guess does not lose sticks to it.
+const UNTOUCHABLE: f64 = 4.0;
+/// Rounds of growing and fitting.
+const ROUNDS: usize = 3;
+/// Least cosine of incidence that is believed.
+const LEAST_COSINE: f64 = 0.1;
+
+/// Part of a facet that a guess is fitted to, and how often it is chosen anew.
+const KEPT_SHARE: f64 = 0.7;
+const TRIMS: usize = 3;
+
+/// What is guessed.
+enum Guess {
+    /// A cylinder along an axis.
+    Along(Vector3<f64>),
+    /// A sphere.
+    Ball,
+}
+
+/// Buffers of the search.
+#[derive(Clone, Debug, Default)]
+pub(super) struct CurveFinder {
+    members: Vec<Vec<u32>>,
+    guesses: Vec<(f64, u32, u32)>,
+    readings: Readings,
+    set: Vec<u32>,
+    in_set: Vec<bool>,
+    near: Vec<u32>,
+    shares: Vec<(u32, f64)>,
+    bounds: Vec<usize>,
+    kept: Vec<bool>,
+    errors: Vec<f64>,
+    sorted: Vec<f64>,
+    /// Curved surface of each region, where it is one.
+    pub models: Vec<Option<Model>>,
+}
+
+impl CurveFinder {
+    /// Replaces facets by curved surfaces in the grower's regions; new regions come last.
+    pub fn find(
+        &mut self,
+        field: &Field,
+        sticks: &Sticks,
+        grower: &mut Grower,
+        limits: &ShapeLimits,
+    ) {
+        self.models.clear();
+        self.models.resize(grower.regions.len(), None);
+        self.list_members(grower);
+        self.in_set.clear();
+        self.in_set.resize(sticks.sticks.len(), false);
+        self.collect_guesses(sticks, grower);
+        for k in 0..self.guesses.len() {
+            let (_, a, b) = self.guesses[k];
+            // Facets that an earlier guess has taken are gone.
+            if self.members[a as usize].is_empty() || self.members[b as usize].is_empty() {
+                continue;
+            }
+            if let Some((model, facets)) = self.best_guess(sticks, grower, a, b, limits) {
+                self.pursue(field, sticks, grower, facets, model, limits);
+            }
+        }
+    }
+
+    fn list_members(&mut self, grower: &Grower) {
+        self.members.iter_mut().for_each(Vec::clear);
+        self.members.resize(grower.regions.len(), Vec::new());
+        for (s, &region) in grower.region_of.iter().enumerate() {
+            if region != 0 {
+                self.members[region as usize].push(s as u32);
+            }
+        }
+    }
+
+    /// Pairs of facets that turn, the largest first.
+    fn collect_guesses(&mut self, sticks: &Sticks, grower: &Grower) {
+        self.guesses.clear();
+        for &(a, b) in &grower.merger.pairs {
+            let (first, second) = (&grower.regions[a as usize], &grower.regions[b as usize]);
+            let (qa, qb) = (Vector3::from(first.plane.q), Vector3::from(second.plane.q));
+            let cosine = qa.dot(&qb) / (qa.norm() * qb.norm());
+            // A facet on one lane has no normal of its own, so nothing is known of the turn.
+            let free = self.is_one_lane(sticks, a) || self.is_one_lane(sticks, b);
+            if free || (LARGEST_TURN < cosine && cosine < SMALLEST_TURN) {
+                let n = first.moments.n + second.moments.n;
+                self.guesses.push((n, a, b));
+            }
+        }
+        self.guesses.sort_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));
+    }
+
+    /// First and last lane of a region: its members are in order of lanes.
+    fn lanes(&self, sticks: &Sticks, region: u32) -> (u32, u32) {
+        let members = &self.members[region as usize];
+        let lane = |s: Option<&u32>| s.map_or(0, |&s| sticks.sticks[s as usize].lane);
+        (lane(members.first()), lane(members.last()))
+    }
+
+    fn is_one_lane(&self, sticks: &Sticks, region: u32) -> bool {
+        let (first, last) = self.lanes(sticks, region);
+        first == last
+    }
+
+    /// The sphere or cylinder that explains two facets, or, where these have one lane each, which
+    /// leaves the circle open, the best that explains them and a third beside them.
+    fn best_guess(
+        &mut self,
+        sticks: &Sticks,
+        grower: &Grower,
+        a: u32,
+        b: u32,
+        limits: &ShapeLimits,
+    ) -> Option<(Model, [u32; 3])> {
+        if !(self.is_one_lane(sticks, a) && self.is_one_lane(sticks, b)) {
+            let guess = self.guess(sticks, grower, [a, b, b], limits)?;
+            return Some((guess.1, [a, b, b]));
+        }
+        let mut best: Option<(f64, Model, [u32; 3])> = None;
+        for &(c, d) in &grower.merger.pairs {
+            let third = match (c == a || c == b, d == a || d == b) {
+                (true, false) => d,
+                (false, true) => c,
+                _ => continue,
+            };
+            let spans = [a, b, third].map(|region| self.lanes(sticks, region));
+            let narrow = spans[2].1 - spans[2].0 < 2;
+            if self.members[third as usize].is_empty()
+                || !narrow
+                || spans[2] == spans[0]
+                || spans[2] == spans[1]
+            {
+                continue;
+            }
+            if let Some((error, model)) = self.guess(sticks, grower, [a, b, third], limits)
+                && best.as_ref().is_none_or(|best| error < best.0)
+            {
+                best = Some((error, model, [a, b, third]));
+            }
+        }
+        best.map(|(_, model, facets)| (model, facets))
+    }
+
+    /// The sphere or cylinder that explains the facets, and its mean square error. A facet named
+    /// twice counts once.
+    fn guess(
+        &mut self,
+        sticks: &Sticks,
+        grower: &Grower,
+        facets: [u32; 3],
+        limits: &ShapeLimits,
+    ) -> Option<(f64, Model)> {
+        let [a, b, c] = facets;
+        self.readings.clear();
+        self.bounds.clear();
+        for &region in &facets[..if c == b { 2 } else { 3 }] {
+            self.bounds.push(self.readings.len());
+            for &s in &self.members[region as usize] {
+                push_stick(&mut self.readings, &sticks.sticks[s as usize]);
+            }
+        }
+        self.bounds.push(self.readings.len());
+        let [qa, qb] = [a, b].map(|r| Vector3::from(grower.regions[r as usize].plane.q));
+        let axis = qa.cross(&qb).try_normalize(1e-12);
+        let spread = self.readings.principal_axis();
+        let mut best: Option<(f64, Model)> = None;
+        for candidate in [axis.map(Guess::Along), Some(Guess::Along(spread)), Some(Guess::Ball)] {
+            let Some((error, model)) = candidate.and_then(|guess| self.trimmed_fit(&guess)) else {
+                continue;
+            };
+            let radius_m = match &model {
+                Model::Cylinder { radius_m, .. } | Model::Sphere { radius_m, .. } => *radius_m,
+                Model::Plane { .. } => f64::INFINITY,
+            };
+            // Each stick end stands for several readings, so a good guess has an error of one.
+            if radius_m <= limits.max_radius_m
+                && error < GUESS_ERROR
+                && best.as_ref().is_none_or(|best| error < best.0)
+            {
+                best = Some((error, model));
+            }
+        }
+        best
+    }
+
+    /// An algebraic fit to the best part of each facet, and the mean square error of that part: a
+    /// facet may have taken in a stick that is not its own.
+    fn trimmed_fit(&mut self, guess: &Guess) -> Option<(f64, Model)> {
+        let fit = |readings: &Readings, kept: &[bool]| match guess {
+            Guess::Along(axis) => circle_along(readings, kept, axis),
+            Guess::Ball => ball_through(readings, kept),
+        };
+        self.kept.clear();
+        self.kept.resize(self.readings.len(), true);
+        let mut model = fit(&self.readings, &self.kept)?;
+        let mut mean = f64::INFINITY;
+        for _ in 0..TRIMS {
+            let readings = &self.readings;
+            self.errors.clear();
+            self.errors.extend((0..readings.len()).map(|i| {
+                model.error(&readings.points[i], &readings.rays[i], readings.sigmas[i]).powi(2)
+            }));
+            let (mut sum, mut count) = (0.0, 0.0);
+            for bounds in self.bounds.windows(2) {
+                let part = bounds[0]..bounds[1];
+                self.sorted.clear();
+                self.sorted.extend_from_slice(&self.errors[part.clone()]);
+                let last = (KEPT_SHARE * (part.len() - 1) as f64).ceil() as usize;
+                let limit = *self.sorted.select_nth_unstable_by(last, f64::total_cmp).1;
+                for i in part {
+                    self.kept[i] = self.errors[i] <= limit;
+                    if self.kept[i] {
+                        sum += self.errors[i];
+                        count += 1.0;
+                    }
+                }
+            }
+            mean = sum / count;
+            model = fit(&self.readings, &self.kept)?;
+        }
+        Some((mean, model))
+    }
+
+    /// Grows a guess and installs it if it is worth its price.
+    fn pursue(
+        &mut self,
+        field: &Field,
+        sticks: &Sticks,
+        grower: &mut Grower,
+        facets: [u32; 3],
+        mut model: Model,
+        limits: &ShapeLimits,
+    ) {
+        for _ in 0..ROUNDS {
+            self.grow(field, sticks, grower, facets, &model);
+            self.readings.clear();
+            for &s in &self.set {
+                push_stick(&mut self.readings, &sticks.sticks[s as usize]);
+            }
+            let refined = match &model {
+                Model::Sphere { .. } => fit_sphere(&self.readings).map(|fit| fit.model()),
+                Model::Cylinder { axis, .. } => {
+                    fit_cylinder(&self.readings, &[*axis]).map(|fit| fit.model())
+                }
+                Model::Plane { .. } => None,
+            };
+            let Some(refined) = refined else { return };
+            model = refined;
+        }
+        let radius_m = match &model {
+            Model::Cylinder { radius_m, .. } | Model::Sphere { radius_m, .. } => *radius_m,
+            Model::Plane { .. } => return,
+        };
+        if radius_m > limits.max_radius_m || !self.is_worth_it(sticks, grower, &model) {
+            return;
+        }
+        self.install(sticks, grower, model);
+    }
+
+    /// The connected sticks that fit a model, from the sticks of the facets on.
+    fn grow(
+        &mut self,
+        field: &Field,
+        sticks: &Sticks,
+        grower: &Grower,
+        facets: [u32; 3],
+        model: &Model,
+    ) {
+        self.set.clear();
+        let mut readings = 0.0;
+        for facet in facets {
+            for &s in &self.members[facet as usize] {
+                let stick = &sticks.sticks[s as usize];
+                if !self.in_set[s as usize] && fits(model, stick) {
+                    self.set.push(s);
+                    self.in_set[s as usize] = true;
+                    readings += stick.n;
+                }
+            }
+        }
+        let mut at = 0;
+        while at < self.set.len() {
+            let stick = self.set[at];
+            at += 1;
+            neighbours(field, sticks, stick, &mut self.near);
+            for &s in &self.near {
+                let region = grower.region_of[s as usize];
+                let owner = grower.regions[region as usize].moments.n;
+                let other = &sticks.sticks[s as usize];
+                if !self.in_set[s as usize]
+                    && self.models[region as usize].is_none()
+                    && (region == 0 || owner < UNTOUCHABLE * readings)
+                    && fits(model, other)
+                {
+                    self.set.push(s);
+                    self.in_set[s as usize] = true;
+                    readings += other.n;
+                }
+            }
+        }
+        for &s in &self.set {
+            self.in_set[s as usize] = false;
+        }
+    }
+
+    /// Whether the model explains its sticks at a lower price than what explains them now.
+    fn is_worth_it(&mut self, sticks: &Sticks, grower: &Grower, model: &Model) -> bool {
+        self.shares.clear();
+        let (mut before, mut after) = (0.0, PRICE);
+        for &s in &self.set {
+            let stick = &sticks.sticks[s as usize];
+            after += stick_error(model, stick);
+            let region = grower.region_of[s as usize];
+            if region == 0 {
+                before += UNEXPLAINED * stick.n;
+                continue;
+            }
+            let q = grower.regions[region as usize].plane.q;
+            let error: f64 = stick
+                .ends
+                .iter()
+                .map(|p| stick.weight * (q[0] * p[0] + q[1] * p[1] + q[2] * p[2] - 1.0).powi(2))
+                .sum();
+            before += error.min(UNEXPLAINED * stick.n);
+            match self.shares.iter_mut().find(|share| share.0 == region) {
+                Some(share) => share.1 += stick.n,
+                None => self.shares.push((region, stick.n)),
+            }
+        }
+        for &(region, n) in &self.shares {
+            before += PRICE * (n / grower.regions[region as usize].moments.n).min(1.0);
+        }
+        after < before
+    }
+
+    fn install(&mut self, sticks: &Sticks, grower: &mut Grower, model: Model) {
+        let label = grower.regions.len() as u32;
+        let mut region = super::grow::Region::default();
+        for &s in &self.set {
+            let stick = &sticks.sticks[s as usize];
+            stick.add_to(&mut region.moments);
+            grower.region_of[s as usize] = label;
+        }
+        region.plane = super::grow::Plane::of(&region.moments);
+        grower.regions.push(region);
+        self.models.push(Some(model));
+        self.members.push(self.set.clone());
+        for members in &mut self.members[..label as usize] {
+            members.retain(|&s| grower.region_of[s as usize] != label);
+        }
+    }
+}
+
+/// Adds a stick as two readings whose noise is that of half its cells.
+fn push_stick(readings: &mut Readings, stick: &Stick) {
+    for end in stick.ends {
+        let range = Vector3::from(end).norm();
+        let sigma = range / stick.weight.sqrt();
+        readings.push(end, 1.0 / range, sigma, true);
+    }
+}
+
+/// Errors of the ends of a stick in standard deviations of one reading.
+fn deviations(model: &Model, stick: &Stick) -> [f64; 2] {
+    stick.ends.map(|end| {
+        let p = Vector3::from(end);
+        let range = p.norm();
+        let (distance, normal) = model.distance(&p);
+        let cosine = (normal.dot(&p) / range).abs().max(LEAST_COSINE);
+        distance / (cosine * range) * (2.0 * stick.weight / stick.n).sqrt()
+    })
+}
+
+fn fits(model: &Model, stick: &Stick) -> bool {
+    let gate = GATE * (2.0 / stick.n).sqrt() + SLACK;
+    deviations(model, stick).iter().all(|d| d.abs() < gate)
+}
+
+fn stick_error(model: &Model, stick: &Stick) -> f64 {
+    deviations(model, stick).iter().map(|d| 0.5 * stick.n * d * d).sum()
+}
+
+/// The cylinder along `axis` whose circle fits the readings algebraically.
+fn circle_along(readings: &Readings, kept: &[bool], axis: &Vector3<f64>) -> Option<Model> {
+    let mut helper = Vector3::zeros();
+    helper[axis.iamin()] = 1.0;
+    let e1 = axis.cross(&helper).normalize();
+    let e2 = axis.cross(&e1);
+    let centroid = readings.centroid();
+    let mut normal = Matrix3::<f64>::zeros();
+    let mut right = Vector3::<f64>::zeros();
+    for ((p, sigma), _) in readings.points.iter().zip(&readings.sigmas).zip(kept).filter(|x| *x.1) {
+        let d = p - centroid;
+        let (a, b) = (e1.dot(&d), e2.dot(&d));
+        let row = Vector3::new(2.0 * a, 2.0 * b, 1.0);
+        let weight = 1.0 / (sigma * sigma);
+        normal += row * row.transpose() * weight;
+        right += row * ((a * a + b * b) * weight);
+    }
+    let solution = normal.cholesky()?.solve(&right);
+    let radius_m = (solution.z + solution.x * solution.x + solution.y * solution.y).sqrt();
+    let foot = centroid + e1 * solution.x + e2 * solution.y;
+    radius_m.is_finite().then_some(Model::Cylinder { foot, axis: *axis, radius_m })
+}
+
+/// The sphere that fits the readings algebraically.
+fn ball_through(readings: &Readings, kept: &[bool]) -> Option<Model> {
+    let centroid = readings.centroid();
+    let mut normal = Matrix4::<f64>::zeros();
+    let mut right = Vector4::<f64>::zeros();
+    for ((p, sigma), _) in readings.points.iter().zip(&readings.sigmas).zip(kept).filter(|x| *x.1) {
+        let d = p - centroid;
+        let row = Vector4::new(2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0);
+        let weight = 1.0 / (sigma * sigma);
+        normal += row * row.transpose() * weight;
+        right += row * (d.norm_squared() * weight);
+    }
+    let solution = normal.cholesky()?.solve(&right);
+    let radius_m = (solution.w + solution.xyz().norm_squared()).sqrt();
+    radius_m.is_finite().then_some(Model::Sphere { centre: centroid + solution.xyz(), radius_m })
+}

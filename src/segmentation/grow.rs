@@ -1,0 +1,252 @@
+//! Sticks to planar regions: seeds of neighbouring sticks grow while the next stick fits.
+//!
+//! A region is its [`Moments`]; taking a stick in is an addition, and the test whether it fits knows
+//! how well the plane is known so far.
+
+use super::field::Field;
+use super::merge::Merger;
+use super::moments::Moments;
+use super::sticks::{NO_STICK, Stick, Sticks};
+
+/// Gate of the growth in standard deviations of what is being compared.
+const GATE: f64 = 3.0;
+/// Deviation that is always allowed, in standard deviations of one reading: surfaces and sensors
+/// have errors that do not average out.
+const SLACK: f64 = 0.5;
+/// Most cells without a return between two sticks of a lane that are still neighbours.
+const BRIDGED: u32 = 2;
+/// Error of a seed's plane, over its three degrees of freedom, beyond which it is none.
+const SEED_ERROR: f64 = 16.0;
+/// Gate of the growth, in standard deviations of one reading, beyond which the plane is not known
+/// well enough where the stick lies: anything would fit.
+const WIDEST_GATE: f64 = 8.0;
+/// Fewest readings of a region that is kept.
+const FEWEST: f64 = 6.0;
+/// Scatter of a stick about its own line, per reading, beyond which it is no seed.
+const ROUGH: f64 = 2.5;
+
+/// A planar region.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Region {
+    pub moments: Moments,
+    pub plane: Plane,
+}
+
+/// A plane `q · p = 1` and how well it is known.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Plane {
+    pub q: [f64; 3],
+    /// Covariance of `q`: xx, xy, xz, yy, yz, zz.
+    pub covariance: [f64; 6],
+}
+
+impl Plane {
+    pub fn of(moments: &Moments) -> Self {
+        let (q, covariance) = moments.solve_with_covariance();
+        Self { q, covariance }
+    }
+
+    /// Whether a stick lies on the plane.
+    pub fn fits(&self, stick: &Stick) -> bool {
+        let [xx, xy, xz, yy, yz, zz] = self.covariance;
+        let unit = 2.0 * stick.weight / stick.n;
+        stick.ends.iter().all(|&[x, y, z]| {
+            let deviation = self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0;
+            let known =
+                xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
+            // Each end stands for half the readings.
+            let gate = GATE * (2.0 / stick.n + unit * known).sqrt() + SLACK;
+            gate < WIDEST_GATE && deviation * deviation * unit < gate * gate
+        })
+    }
+}
+
+/// Grows regions of sticks.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Grower {
+    /// Region of each stick, from 1; 0 for none.
+    pub region_of: Vec<u32>,
+    /// Regions; the first is none.
+    pub regions: Vec<Region>,
+    order: Vec<u32>,
+    front: Vec<u32>,
+    near: Vec<u32>,
+    moments: Vec<Moments>,
+    pub merger: Merger,
+}
+
+/// On how many sides a seed needs a neighbour. Two sides prove a plane; narrow surfaces have one
+/// neighbour, or none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sides {
+    Both,
+    Either,
+    None,
+}
+
+impl Grower {
+    pub fn grow(&mut self, field: &Field, sticks: &Sticks) {
+        self.region_of.clear();
+        self.region_of.resize(sticks.sticks.len(), 0);
+        self.regions.clear();
+        self.regions.push(Region::default());
+        self.sort_by_length(sticks);
+        for sides in [Sides::Both, Sides::Either, Sides::None] {
+            for k in 0..self.order.len() {
+                let stick = self.order[k];
+                if self.region_of[stick as usize] == 0 {
+                    self.try_seed(field, sticks, stick, sides);
+                }
+            }
+        }
+        self.merge(field, sticks);
+    }
+
+    /// Long sticks first, equal ones in their order.
+    fn sort_by_length(&mut self, sticks: &Sticks) {
+        self.order.clear();
+        self.order.extend(0..sticks.sticks.len() as u32);
+        self.order.sort_by_key(|&s| std::cmp::Reverse(sticks.sticks[s as usize].n as u32));
+    }
+
+    /// Starts a region from a stick and the sticks that overlap it most on the lanes beside it.
+    fn try_seed(&mut self, field: &Field, sticks: &Sticks, seed: u32, sides: Sides) {
+        let lane = sticks.sticks[seed as usize].lane as usize;
+        let left = lane.checked_sub(1).and_then(|l| self.best_overlap(field, sticks, seed, l));
+        let right = Some(lane + 1).filter(|&l| l < field.lanes);
+        let right = right.and_then(|l| self.best_overlap(field, sticks, seed, l));
+        let members = match sides {
+            Sides::Both if left.is_some() && right.is_some() => [left, Some(seed), right],
+            Sides::Either => {
+                let n = |s: Option<u32>| s.map_or(0.0, |s| sticks.sticks[s as usize].n);
+                [Some(seed), if n(right) > n(left) { right } else { left }, None]
+            }
+            Sides::None => [Some(seed), None, None],
+            Sides::Both => return,
+        };
+        let mut region = Region::default();
+        for s in members.into_iter().flatten() {
+            let stick = &sticks.sticks[s as usize];
+            stick.add_to(&mut region.moments);
+            if stick.error > ROUGH * stick.n {
+                return;
+            }
+        }
+        region.plane = Plane::of(&region.moments);
+        if region.moments.error(&region.plane.q) > SEED_ERROR {
+            return;
+        }
+        self.front.clear();
+        self.front.extend(members.into_iter().flatten());
+        self.grow_front(field, sticks, &mut region);
+        if region.moments.n < FEWEST {
+            for &s in &self.front {
+                self.region_of[s as usize] = 0;
+            }
+        } else {
+            self.regions.push(region);
+        }
+    }
+
+    /// Takes in what fits, starting from the sticks in `front`, which ends up with all of them.
+    fn grow_front(&mut self, field: &Field, sticks: &Sticks, region: &mut Region) {
+        let label = self.regions.len() as u32;
+        for &s in &self.front {
+            self.region_of[s as usize] = label;
+        }
+        let mut at = 0;
+        while at < self.front.len() {
+            let stick = self.front[at];
+            at += 1;
+            let mut near = std::mem::take(&mut self.near);
+            neighbours(field, sticks, stick, &mut near);
+            for &s in &near {
+                let other = &sticks.sticks[s as usize];
+                if self.region_of[s as usize] == 0 && region.plane.fits(other) {
+                    self.region_of[s as usize] = label;
+                    other.add_to(&mut region.moments);
+                    region.plane = Plane::of(&region.moments);
+                    self.front.push(s);
+                }
+            }
+            self.near = near;
+        }
+    }
+
+    /// Merges neighbouring regions that one plane explains.
+    fn merge(&mut self, field: &Field, sticks: &Sticks) {
+        self.merger.pairs.clear();
+        for s in 0..sticks.sticks.len() as u32 {
+            let region = self.region_of[s as usize];
+            if region != 0 {
+                neighbours(field, sticks, s, &mut self.near);
+                for &other in &self.near {
+                    self.merger.push_pair(region, self.region_of[other as usize]);
+                }
+            }
+        }
+        self.merger.sort_pairs();
+        self.moments.clear();
+        self.moments.extend(self.regions.iter().map(|region| region.moments));
+        self.merger.merge(&mut self.moments, |_| true);
+        for (region, moments) in self.regions.iter_mut().zip(&self.moments) {
+            if region.moments.n != moments.n {
+                *region = Region { moments: *moments, plane: Plane::of(moments) };
+            }
+        }
+        for region in &mut self.region_of {
+            *region = self.merger.root(*region);
+        }
+    }
+
+    fn best_overlap(&self, field: &Field, sticks: &Sticks, stick: u32, lane: usize) -> Option<u32> {
+        let here = &sticks.sticks[stick as usize];
+        let mut best = (0, None);
+        for s in ids_beside(field, sticks, here, lane) {
+            let other = &sticks.sticks[s as usize];
+            let low = here.first.max(other.first);
+            let overlap = (here.last.min(other.last) + 1).saturating_sub(low);
+            if self.region_of[s as usize] == 0 && overlap > best.0 {
+                best = (overlap, Some(s));
+            }
+        }
+        best.1
+    }
+}
+
+/// The sticks of a lane that touch a stick of the next, corners included.
+fn ids_beside(field: &Field, sticks: &Sticks, here: &Stick, lane: usize) -> std::ops::Range<u32> {
+    let id = |step: u32| sticks.of_cell[step as usize * field.lanes + lane];
+    let (low, high) = (here.first.saturating_sub(1), (here.last + 1).min(field.steps as u32 - 1));
+    let first = (low..=high).map(id).find(|&s| s != NO_STICK);
+    let last = (low..=high).rev().map(id).find(|&s| s != NO_STICK);
+    match (first, last) {
+        (Some(first), Some(last)) => first..last + 1,
+        _ => 0..0,
+    }
+}
+
+/// All sticks that touch a stick, in order of lanes, then steps.
+pub(super) fn neighbours(field: &Field, sticks: &Sticks, stick: u32, near: &mut Vec<u32>) {
+    near.clear();
+    let here = &sticks.sticks[stick as usize];
+    let lane = here.lane as usize;
+    if lane > 0 {
+        near.extend(ids_beside(field, sticks, here, lane - 1));
+    }
+    if let Some(before) = stick.checked_sub(1) {
+        let other = &sticks.sticks[before as usize];
+        if other.lane == here.lane && here.first - other.last <= BRIDGED + 1 {
+            near.push(before);
+        }
+    }
+    if let Some(other) = sticks.sticks.get(stick as usize + 1)
+        && other.lane == here.lane
+        && other.first - here.last <= BRIDGED + 1
+    {
+        near.push(stick + 1);
+    }
+    if lane + 1 < field.lanes {
+        near.extend(ids_beside(field, sticks, here, lane + 1));
+    }
+}

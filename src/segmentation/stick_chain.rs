@@ -1,0 +1,94 @@
+//! The default structure.
+
+use super::compete::{Competition, Rival};
+use super::config::SegmentationConfig;
+use super::curve::CurveFinder;
+use super::field::Field;
+use super::grow::Grower;
+use super::merge::Merger;
+use super::moments::Moments;
+use super::sticks::{NO_STICK, Sticks};
+use super::{Stage, StageImage};
+
+/// Buffers and stage images of the chain.
+#[derive(Clone, Debug, Default)]
+pub(super) struct StickChain {
+    sticks: Sticks,
+    grower: Grower,
+    grown: Vec<u32>,
+    curves: CurveFinder,
+    rivals: Vec<Rival>,
+    competition: Competition,
+    moments: Vec<Moments>,
+    merger: Merger,
+}
+
+impl StickChain {
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none.
+    pub fn run(
+        &mut self,
+        field: &Field,
+        config: &SegmentationConfig,
+        labels: &mut Vec<u32>,
+        observe: &mut dyn FnMut(Stage),
+    ) {
+        observe(Stage::Residual);
+        self.sticks.cut(field);
+        observe(Stage::Morphology);
+        self.grower.grow(field, &self.sticks);
+        self.curves.find(field, &self.sticks, &mut self.grower, &config.limits);
+        labels.clear();
+        labels.extend(
+            self.sticks
+                .of_cell
+                .iter()
+                .map(|&s| if s == NO_STICK { 0 } else { self.grower.region_of[s as usize] }),
+        );
+        self.grown.clone_from(labels);
+        observe(Stage::Fill);
+        self.rivals.clear();
+        for (region, model) in self.grower.regions.iter().zip(&self.curves.models) {
+            self.rivals.push(match model {
+                Some(model) => Rival::of(model),
+                None => Rival::Plane(region.plane.q.map(|v| v as f32)),
+            });
+        }
+        self.competition.settle(field, &self.rivals, labels);
+        self.merge(field, labels);
+        self.competition.settle(field, &self.rivals, labels);
+        observe(Stage::Split);
+    }
+
+    /// Merges planes that touch now that the cells are settled, and fits them anew.
+    fn merge(&mut self, field: &Field, labels: &mut [u32]) {
+        self.moments.clear();
+        self.moments.extend(self.grower.regions.iter().map(|region| region.moments));
+        for (cell, (&before, &now)) in self.grown.iter().zip(labels.iter()).enumerate() {
+            if before != now {
+                let (point, weight) = (field.point(cell), field.weight(cell));
+                self.moments[before as usize].sub_point(point, weight);
+                self.moments[now as usize].add_point(point, weight);
+            }
+        }
+        self.merger.pairs_of_labels(labels, field.lanes);
+        let models = &self.curves.models;
+        self.merger.merge(&mut self.moments, |label| models[label as usize].is_none());
+        for label in labels.iter_mut() {
+            *label = self.merger.root(*label);
+        }
+        for (label, rival) in self.rivals.iter_mut().enumerate() {
+            if let Rival::Plane(q) = rival {
+                *q = self.moments[label].solve().map(|v| v as f32);
+            }
+        }
+    }
+
+    /// The stages as pictures, in field order.
+    pub fn images(&self) -> Vec<StageImage> {
+        let sticks = self.sticks.of_cell.iter().map(|&s| if s == NO_STICK { 0 } else { s + 1 });
+        vec![
+            StageImage::labels("sticks", sticks.collect()),
+            StageImage::labels("grown", self.grown.clone()),
+        ]
+    }
+}

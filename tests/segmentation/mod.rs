@@ -1,0 +1,7 @@
+//! Segmentation against worlds whose surfaces are known.
+
+mod campaign;
+mod scanner;
+mod scenes;
+mod score;
+mod world;
