@@ -1,5 +1,7 @@
 //! Arguments, wiring and exit codes: one file per verb.
 
+mod files;
+mod map;
 mod paper;
 mod segment;
 
@@ -18,6 +20,8 @@ pub struct Arguments {
 enum Verb {
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
+    /// Organised scans through segmentation, localisation and mapping.
+    Map(map::MapArguments),
     /// Regenerates the paper's tables and figures from this code.
     Paper(paper::PaperArguments),
 }
@@ -26,6 +30,7 @@ enum Verb {
 pub fn run(arguments: Arguments) -> ExitCode {
     let outcome = match arguments.verb {
         Verb::Segment(arguments) => segment::run(&arguments),
+        Verb::Map(arguments) => map::run(&arguments),
         Verb::Paper(arguments) => paper::run(arguments),
     };
     outcome.unwrap_or_else(|error| {
