@@ -6,3 +6,4 @@ mod layering;
 mod mapping;
 mod protocol;
 mod terrain;
+mod truth;

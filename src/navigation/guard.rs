@@ -1,5 +1,5 @@
 use crate::scan::{LaserLine, Return};
-use crate::terrain::{Grid, RobotShape};
+use crate::terrain::{CellClass, CellIndex, Grid, RobotShape};
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
@@ -38,10 +38,11 @@ pub struct Guard {
 /// What the guard line says about the corridor ahead. Places are in the robot frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum GuardVerdict {
-    /// Ground as expected, all across the corridor.
+    /// Nothing new across the corridor.
     Clear {
-        /// Least distance ahead of `base_link` at which ground was confirmed, metres.
-        ahead_m: f64,
+        /// Least distance ahead of `base_link` at which ground was confirmed, metres; `None` where
+        /// all that was seen are obstacles and edges known before.
+        ahead_m: Option<f64>,
     },
     /// Something stands on the ground, or the ground rises by more than the robot climbs.
     Obstacle {
@@ -90,8 +91,9 @@ impl Guard {
 
     /// Judges one line taken with the sensor at `robot_from_sensor`.
     ///
-    /// `known`, the robot's pose and the grid, excuses what differs from level ground but is already
-    /// known to be drivable: the foot of a ramp, seen from the floor, would stop the robot for ever.
+    /// `known`, the robot's pose and the grid, excuses what is no news: ground that is not level but
+    /// known to be drivable (the foot of a ramp would stop the robot for ever), and obstacles and
+    /// edges where the grid already says that nothing may be driven.
     pub fn judge(
         &self,
         line: &LaserLine,
@@ -99,6 +101,7 @@ impl Guard {
         known: Option<(&Isometry3<f64>, &Grid)>,
     ) -> GuardVerdict {
         let origin = Point3::from(robot_from_sensor.translation.vector);
+        let known = Known { known };
         let mut obstacle: Option<GuardVerdict> = None;
         let mut drop: Option<GuardVerdict> = None;
         let mut confirmed_m = f64::INFINITY;
@@ -118,11 +121,15 @@ impl Guard {
                 Return::Missing => continue,
                 Return::Nothing => {
                     if in_corridor {
-                        drop = nearer(
-                            drop,
-                            GuardVerdict::DropOff { ahead_m: due.x, left_m: due.y, depth_m: None },
-                        );
                         read.push(due.y);
+                        if !known.is_closed(&due) {
+                            let found = GuardVerdict::DropOff {
+                                ahead_m: due.x,
+                                left_m: due.y,
+                                depth_m: None,
+                            };
+                            drop = nearer(drop, found);
+                        }
                     }
                     continue;
                 }
@@ -132,21 +139,25 @@ impl Guard {
             let away_m = (seen - origin).norm();
             let tolerance_m =
                 self.max_step_m + 0.01 + 3.0 * self.config.attitude_sigma_rad * away_m;
-            let excused = rise_m.abs() > tolerance_m && is_known_ground(&seen, known, tolerance_m);
-            if rise_m > tolerance_m {
+            if rise_m.abs() > tolerance_m && known.is_ground(&seen, tolerance_m) {
+                if in_corridor {
+                    confirmed_m = confirmed_m.min(seen.x);
+                }
+            } else if rise_m > tolerance_m {
                 let in_way = seen.x > 0.0
                     && seen.y.abs() <= self.half_width_m
                     && rise_m < self.height_m
-                    && (in_corridor || seen.x < due.x || !due_m.is_finite());
-                if in_way && !excused && (due_m.is_finite() || away_m < 2.0) {
+                    && (due_m.is_finite() || away_m < 2.0);
+                if in_way && !known.is_closed(&seen) {
                     let found = GuardVerdict::Obstacle { ahead_m: seen.x, left_m: seen.y, rise_m };
                     obstacle = nearer(obstacle, found);
                 }
-            } else if rise_m < -tolerance_m && in_corridor && !excused {
-                drop = nearer(
-                    drop,
-                    GuardVerdict::DropOff { ahead_m: due.x, left_m: due.y, depth_m: Some(-rise_m) },
-                );
+            } else if in_corridor && rise_m < -tolerance_m {
+                if !known.is_closed(&due) {
+                    let depth_m = Some(-rise_m);
+                    let found = GuardVerdict::DropOff { ahead_m: due.x, left_m: due.y, depth_m };
+                    drop = nearer(drop, found);
+                }
             } else if in_corridor {
                 confirmed_m = confirmed_m.min(seen.x);
             }
@@ -160,10 +171,10 @@ impl Guard {
         read.push(self.half_width_m);
         read.sort_by(f64::total_cmp);
         let unread_m = read.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
-        if unread_m > self.config.unread_m || !confirmed_m.is_finite() {
+        if unread_m > self.config.unread_m {
             return GuardVerdict::Blind { unread_m };
         }
-        GuardVerdict::Clear { ahead_m: confirmed_m }
+        GuardVerdict::Clear { ahead_m: confirmed_m.is_finite().then_some(confirmed_m) }
     }
 }
 
@@ -179,18 +190,47 @@ fn nearer(before: Option<GuardVerdict>, found: GuardVerdict) -> Option<GuardVerd
     }
 }
 
-fn is_known_ground(
-    seen_robot: &Point3<f64>,
-    known: Option<(&Isometry3<f64>, &Grid)>,
-    tolerance_m: f64,
-) -> bool {
-    known.is_some_and(|(world_from_robot, grid)| {
-        let seen = world_from_robot * seen_robot;
-        grid.class_at(seen.x, seen.y).is_drivable()
-            && grid
-                .height_at(seen.x, seen.y)
-                .is_some_and(|height_m| (seen.z - height_m).abs() <= tolerance_m)
-    })
+/// What the grid already says.
+struct Known<'a> {
+    known: Option<(&'a Isometry3<f64>, &'a Grid)>,
+}
+
+impl Known<'_> {
+    /// Pose errors move what is known by as much.
+    const SLACK_M: f64 = 0.10;
+
+    /// Whether a point lies on ground that is known to be drivable, at its height.
+    fn is_ground(&self, p_robot: &Point3<f64>, tolerance_m: f64) -> bool {
+        self.known.is_some_and(|(world_from_robot, grid)| {
+            let p = world_from_robot * p_robot;
+            grid.class_at(p.x, p.y).is_drivable()
+                && grid
+                    .height_at(p.x, p.y)
+                    .is_some_and(|height_m| (p.z - height_m).abs() <= tolerance_m)
+        })
+    }
+
+    /// Whether a point lies at or close to a cell that is known and may not be driven on. Unknown
+    /// ground does not count: what is seen there is news.
+    fn is_closed(&self, p_robot: &Point3<f64>) -> bool {
+        self.known.is_some_and(|(world_from_robot, grid)| {
+            let p = world_from_robot * p_robot;
+            let low = grid.cell_of(p.x - Self::SLACK_M, p.y - Self::SLACK_M);
+            let high = grid.cell_of(p.x + Self::SLACK_M, p.y + Self::SLACK_M);
+            (low.y..=high.y).any(|y| {
+                (low.x..=high.x).any(|x| {
+                    matches!(
+                        grid.get(CellIndex { x, y }).class,
+                        CellClass::Occupied
+                            | CellClass::TooSteep
+                            | CellClass::DropOff
+                            | CellClass::Suspect
+                            | CellClass::OtherLevel
+                    )
+                })
+            })
+        })
+    }
 }
 
 #[cfg(test)]

@@ -182,8 +182,7 @@ impl<'a> Fields<'a> {
     /// A list of any length, separated by commas.
     pub(super) fn list(&mut self, key: &str) -> Option<Vec<f64>> {
         self.take_as(key, |value| {
-            // Six octets hold the shortest laser range with its comma, so one allocation is enough.
-            let mut values = Vec::with_capacity(value.len() / 6 + 1);
+            let mut values = Vec::with_capacity(memchr::memchr_iter(b',', value).count() + 1);
             let whole = number::list(value, &mut values);
             if whole { Ok(values) } else { Err(ProblemKind::NotANumber(key.to_owned())) }
         })

@@ -40,6 +40,7 @@
 //! assert_eq!(parse_command(line.trim_ascii_end()).command, drive);
 //! ```
 
+pub mod capture;
 pub mod command;
 mod dialect;
 mod encode;

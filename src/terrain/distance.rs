@@ -48,8 +48,8 @@ impl Envelope {
     fn row(&mut self, along: &[u16], far: u16, cap: f32, out: &mut [f32]) {
         self.parabolas.clear();
         let value = |x: usize| f32::from(along[x]).powi(2) + (x as f32).powi(2);
-        for x in 0..along.len() {
-            if along[x] >= far {
+        for (x, &height) in along.iter().enumerate() {
+            if height >= far {
                 continue;
             }
             let mut begins = f32::NEG_INFINITY;
@@ -94,13 +94,13 @@ mod tests {
             prop_assume!(height > 0);
             let seeds = &seeds[..width * height];
             let distances = distances(seeds, width, cap);
-            for at in 0..seeds.len() {
+            for (at, distance) in distances.iter().enumerate() {
                 let (x, y) = ((at % width) as f32, (at / width) as f32);
                 let nearest = (0..seeds.len())
                     .filter(|&seed| seeds[seed])
                     .map(|seed| (x - (seed % width) as f32).hypot(y - (seed / width) as f32))
                     .fold(cap, f32::min);
-                prop_assert!((distances[at] - nearest).abs() < 1e-3);
+                prop_assert!((distance - nearest).abs() < 1e-3);
             }
         }
     }

@@ -69,9 +69,9 @@ fn across(fan: &Fan, labels: &Labels, config: &TerrainConfig, shape: &RobotShape
     // Per stretch of one row: length, slope, noise of the slope; `None` where an end is no ground.
     let mut stretches: Vec<Option<(f64, f64, f64)>> = vec![None; columns];
     for row in 0..fan.rows.len() {
-        for column in 0..columns.saturating_sub(1) {
+        for (column, stretch) in stretches.iter_mut().take(columns.saturating_sub(1)).enumerate() {
             let at = row * columns + column;
-            stretches[column] = match (&fan.samples[at], &fan.samples[at + 1]) {
+            *stretch = match (&fan.samples[at], &fan.samples[at + 1]) {
                 (Sample::Hit { p, away_m }, Sample::Hit { p: q, .. })
                     if labels.ground[at] && labels.ground[at + 1] =>
                 {

@@ -23,6 +23,8 @@ const SLOPE_SLACK: f64 = 0.06;
 const MISSING_M: f64 = 0.10;
 /// A row that meets the ground farther beyond the last seen ground than this says nothing about it.
 const DUE_M: f64 = 1.5;
+/// A single point on the robot's own plane is ground up to this distance.
+const ALONE_M: f64 = 2.0;
 /// Longest stretch that one ray's evidence marks as missing ground.
 const MARK_M: f64 = 1.0;
 
@@ -124,7 +126,7 @@ impl Reader<'_> {
         });
         self.gather_pairs();
         self.accept_pairs(from_floor.then_some(floor_slope));
-        self.write(known, floor_slope, labels);
+        self.write(known, from_floor, floor_slope, labels);
         if !from_floor {
             self.find_missing_floor(floor_slope, &mut labels.missing);
         }
@@ -272,6 +274,7 @@ impl Reader<'_> {
     fn write(
         &self,
         known: &impl Fn(&Point3<f64>, f64) -> bool,
+        from_floor: bool,
         floor_slope: f64,
         labels: &mut Labels,
     ) {
@@ -281,8 +284,11 @@ impl Reader<'_> {
         let mut last: Option<(f64, f64, f64)> = None;
         for (index, node) in self.nodes.iter().enumerate() {
             let inwards = index > 0 && accepted(index - 1);
+            // The first point out from the robot, near it and on the plane it stands on, is ground
+            // even alone: beyond an edge close by there is no second one.
             let ground = inwards
                 || accepted(index)
+                || (index == 0 && from_floor && node.away_m <= ALONE_M)
                 || (node.away_m <= self.config.ground_range_m
                     && known(
                         &Point3::from(node.p),

@@ -117,6 +117,11 @@ impl World {
         (hard.is_finite() && hard < mute).then_some(hard)
     }
 
+    /// Whether a point lies inside a solid.
+    pub fn is_inside(&self, p: &Point3<f64>) -> bool {
+        self.solids.iter().any(|solid| solid.faces.iter().all(|(n, d)| n.dot(&p.coords) <= *d))
+    }
+
     /// Height of the highest surface below `(x, y, from_z)`, if any.
     pub fn floor_below(&self, x: f64, y: f64, from_z: f64) -> Option<f64> {
         self.cast(&Point3::new(x, y, from_z), &-Vector3::z()).map(|range| from_z - range)

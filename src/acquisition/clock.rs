@@ -1,0 +1,158 @@
+use crate::time::{Arrival, Span, Stamp};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// What a stamped message told about the simulator's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ClockStep {
+    /// The clock ran on as expected.
+    Steady,
+    /// The clock jumped by this much against the session's: what was known of it is void.
+    Jumped(Span),
+}
+
+/// The map between the session's clock and the simulator's, kept so that it errs to the safe side.
+///
+/// A message stamped `s` that arrived at `a` proves that the simulator's clock stood at `s` or later
+/// at `a`; how much later, by the latency of the line, it does not say. So each message gives a lower
+/// bound, the best of the recent ones is kept, and an upper bound adds the configured latency.
+/// The simulator may run faster or slower than the session (`usar sim --speed`, an overloaded
+/// server), so the rate between the clocks is measured over the same window.
+///
+/// The scanner's stamps do not belong here: in UT2004 they lag a burst (protocol 6.1).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StampClock {
+    window: VecDeque<(Arrival, Stamp)>,
+    latest: Option<Stamp>,
+}
+
+/// Messages older than this say nothing about the present rate of an overloaded server.
+const WINDOW: Span = Span::from_millis(5_000);
+/// Bound on the number of messages in the window: ten a second for each of six kinds.
+const WINDOW_MESSAGES: usize = 300;
+/// A shorter window measures arrival jitter, not the rate.
+const RATE_BASELINE: Span = Span::from_millis(2_500);
+/// Rates this close to 1 are jitter.
+const RATE_SNAP: f64 = 0.05;
+/// A message this far ahead of the expected stamp, or behind the latest one, is a jump of the clock
+/// and not a late line.
+const JUMP: Span = Span::from_millis(3_000);
+
+impl StampClock {
+    /// A clock about which nothing is known yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes note of a message stamped `stamp` that arrived `now`.
+    pub fn observe(&mut self, stamp: Stamp, now: Arrival) -> ClockStep {
+        let mut step = ClockStep::Steady;
+        if let (Some(latest), Some(expected)) = (self.latest, self.earliest(now))
+            && (stamp - expected > JUMP || latest - stamp > JUMP)
+        {
+            step = ClockStep::Jumped(stamp - expected);
+            self.window.clear();
+            self.latest = None;
+        }
+        self.latest = Some(self.latest.map_or(stamp, |latest| latest.max(stamp)));
+        self.window.push_back((now, stamp));
+        while self.window.len() > WINDOW_MESSAGES
+            || self.window.front().is_some_and(|&(arrival, _)| now - arrival > WINDOW)
+        {
+            self.window.pop_front();
+        }
+        step
+    }
+
+    /// The newest stamp seen.
+    pub fn latest(&self) -> Option<Stamp> {
+        self.latest
+    }
+
+    /// Simulated seconds per session second, 1 until measured otherwise.
+    pub fn rate(&self) -> f64 {
+        let (Some(&(a0, s0)), Some(&(a1, s1))) = (self.window.front(), self.window.back()) else {
+            return 1.0;
+        };
+        if a1 - a0 < RATE_BASELINE || s1 <= s0 {
+            return 1.0;
+        }
+        let rate = (s1 - s0).seconds() / (a1 - a0).seconds();
+        if (rate - 1.0).abs() < RATE_SNAP { 1.0 } else { rate.clamp(0.02, 50.0) }
+    }
+
+    /// The earliest stamp the simulator's clock can show at `now`; `None` before the first message.
+    pub fn earliest(&self, now: Arrival) -> Option<Stamp> {
+        let rate = self.rate();
+        self.window
+            .iter()
+            .map(|&(arrival, stamp)| stamp + Span::from_seconds((now - arrival).seconds() * rate))
+            .max()
+    }
+
+    /// The latest stamp at which something sent at `now` is in force at the server, if neither way
+    /// takes longer than `latency` of session time in all, server frame included.
+    pub fn in_force_by(&self, now: Arrival, latency: Span) -> Option<Stamp> {
+        let scaled = Span::from_seconds(latency.seconds() * self.rate().max(1.0));
+        self.earliest(now).map(|stamp| stamp + scaled)
+    }
+
+    /// The session time that `span` of simulated time takes.
+    pub fn arrival_span(&self, span: Span) -> Span {
+        Span::from_seconds(span.seconds() / self.rate())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn at(seconds: f64) -> Arrival {
+        Arrival::from_seconds(seconds)
+    }
+
+    #[test]
+    fn a_late_message_does_not_move_the_bound_back() {
+        let mut clock = StampClock::new();
+        clock.observe(Stamp::from_seconds(100.0), at(1.0));
+        clock.observe(Stamp::from_seconds(100.2), at(1.7));
+        assert_eq!(clock.earliest(at(2.0)), Some(Stamp::from_seconds(101.0)));
+    }
+
+    #[test]
+    fn a_jump_of_the_clock_voids_what_was_known() {
+        let mut clock = StampClock::new();
+        for i in 0..10 {
+            let t = 0.2 * f64::from(i);
+            assert_eq!(clock.observe(Stamp::from_seconds(100.0 + t), at(t)), ClockStep::Steady);
+        }
+        let back = clock.observe(Stamp::from_seconds(50.0), at(2.0));
+        assert!(matches!(back, ClockStep::Jumped(by) if by < Span::ZERO));
+        assert_eq!(clock.earliest(at(2.1)), Some(Stamp::from_seconds(50.1)));
+    }
+
+    proptest! {
+        #[test]
+        fn the_bounds_enclose_the_simulators_clock(
+            rate in prop::sample::select(vec![0.3, 1.0, 1.0, 4.0]),
+            latencies in prop::collection::vec(0.0..0.04f64, 40), ask in 0.0..0.2f64
+        ) {
+            let mut clock = StampClock::new();
+            let offset = 5000.0;
+            let mut now = 0.0;
+            for (i, latency) in latencies.iter().enumerate() {
+                let sent = 0.2 * i as f64;
+                now = sent + latency;
+                clock.observe(Stamp::from_seconds(offset + sent * rate), at(now));
+            }
+            let asked = now + ask;
+            let truth = offset + asked * rate;
+            // The measured rate is off by the jitter of the window's two ends.
+            let slack = 0.05 * rate;
+            prop_assert!(clock.earliest(at(asked)).unwrap().seconds() <= truth + slack);
+            let bound = clock.in_force_by(at(asked), Span::from_millis(40)).unwrap().seconds();
+            prop_assert!(bound >= truth - slack, "{bound} {truth}");
+        }
+    }
+}

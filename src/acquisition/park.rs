@@ -1,0 +1,142 @@
+use super::HeadCommand;
+use super::config::AcquisitionConfig;
+use super::control::HeadControl;
+use super::track::Verdict;
+use crate::robot::{Demand, HeadPose};
+use crate::time::{Arrival, Span, Stamp};
+use serde::{Deserialize, Serialize};
+
+/// Whether the head is where it was parked.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ParkState {
+    /// Nobody parked it, or a sweep has moved it since.
+    NotParked,
+    /// On its way.
+    Moving,
+    /// There by computation; the rig sends no readings.
+    Computed {
+        /// Lines stamped from here on were taken under `pose`.
+        since: Stamp,
+        /// Where it is parked.
+        pose: HeadPose,
+    },
+    /// There, and a reading says so.
+    Verified {
+        /// Lines stamped from here on were taken under `pose`.
+        since: Stamp,
+        /// Where it is parked.
+        pose: HeadPose,
+    },
+    /// It should be there, but reads otherwise: the head is stuck or its limits are narrower.
+    Elsewhere {
+        /// The tilt that was read, in radians.
+        tilt_rad: f64,
+    },
+}
+
+impl ParkState {
+    /// Whether a line stamped `stamp` was taken with the head parked.
+    pub fn covers(&self, stamp: Stamp) -> bool {
+        match *self {
+            Self::Computed { since, .. } | Self::Verified { since, .. } => stamp >= since,
+            Self::NotParked | Self::Moving | Self::Elsewhere { .. } => false,
+        }
+    }
+}
+
+/// The head on its way to, or at, a place where it is to stay.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Park {
+    pose: HeadPose,
+    /// From this stamp on the head is there by computation; `None` until the server's clock is known.
+    settled: Option<Stamp>,
+}
+
+/// The guard line needs no more: a quarter of a degree moves it by a few centimetres.
+const TOLERANCE_RAD: f64 = super::QUARTER_DEGREE_RAD;
+
+impl Park {
+    pub(super) fn start(
+        pose: HeadPose,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> (Self, Vec<HeadCommand>) {
+        let reachable = HeadPose {
+            pan_rad: control.head().pan().map_or(0.0, |axis| axis.clamp(pose.pan_rad)),
+            tilt_rad: control.head().tilt().map_or(0.0, |axis| axis.clamp(pose.tilt_rad)),
+        };
+        let mut park = Self { pose: reachable, settled: None };
+        let commands = park.command(control, config, now);
+        (park, commands)
+    }
+
+    fn command(
+        &mut self,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> Vec<HeadCommand> {
+        let Some(in_force) = control.in_force(now) else { return Vec::new() };
+        let mut settled = in_force;
+        let mut commands = Vec::new();
+        if control.head().tilt().is_some() {
+            settled = settled.max(control.tilt.rests_from(
+                self.pose.tilt_rad,
+                TOLERANCE_RAD,
+                in_force,
+                config,
+            ));
+            commands.push(control.command_tilt(Demand::Angle(self.pose.tilt_rad), now));
+        }
+        if control.head().pan().is_some() {
+            settled = settled.max(control.pan.rests_from(
+                self.pose.pan_rad,
+                TOLERANCE_RAD,
+                in_force,
+                config,
+            ));
+            commands.push(control.command_pan(Demand::Angle(self.pose.pan_rad), now));
+        }
+        self.settled = Some(settled);
+        commands
+    }
+
+    /// Commands the head anew when the server's clock has become known or has jumped.
+    pub(super) fn handle(
+        &mut self,
+        jumped: bool,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> Vec<HeadCommand> {
+        if jumped || self.settled.is_none() {
+            return self.command(control, config, now);
+        }
+        Vec::new()
+    }
+
+    pub(super) fn state(&self, control: &HeadControl, now: Arrival) -> ParkState {
+        let (Some(settled), Some(server)) = (self.settled, control.clock().earliest(now)) else {
+            return ParkState::Moving;
+        };
+        let verdict =
+            control.tilt.verdict(self.pose.tilt_rad, TOLERANCE_RAD, settled, Stamp(i64::MAX));
+        let (since, pose) = (settled, self.pose);
+        match verdict {
+            Verdict::Confirmed => ParkState::Verified { since, pose },
+            Verdict::Contradicted { .. } if control.tilt.moves(Some(server)) => ParkState::Moving,
+            Verdict::Contradicted { angle_rad } => ParkState::Elsewhere { tilt_rad: angle_rad },
+            Verdict::Unverified if server < settled => ParkState::Moving,
+            // A rig whose readings are merely due is given a moment to send the next one.
+            Verdict::Unverified if reads(control, server) => ParkState::Moving,
+            Verdict::Unverified => ParkState::Computed { since, pose },
+        }
+    }
+}
+
+/// Whether readings are coming in.
+fn reads(control: &HeadControl, server: Stamp) -> bool {
+    const RECENT: Span = Span::from_millis(700);
+    control.tilt.last_reading().is_some_and(|reading| server - reading.stamp < RECENT)
+}

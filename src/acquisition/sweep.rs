@@ -1,0 +1,493 @@
+//! Stop-scan-go: one sweep over a list of tilts, as a state machine.
+
+use super::config::AcquisitionConfig;
+use super::control::HeadControl;
+use super::profile::{Profile, QuarterDegrees};
+use super::scan::{FiledRow, Scan, ScanErrors, TimeBudget, image_of};
+use super::track::Verdict;
+use super::{HeadAction, HeadEvent};
+use crate::robot::{Demand, HeadPose};
+use crate::scan::LaserLine;
+use crate::time::{Arrival, Span, Stamp};
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+/// A sweep in which every line is taken with the tilt at rest at the demanded angle (paper, section
+/// II): command, wait until the tilt is provably there, file the first line stamped after that.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sweep {
+    profile: Profile,
+    pan_rad: f64,
+    tolerance_rad: f64,
+    step: Step,
+    rows: Vec<FiledRow>,
+    budget: TimeBudget,
+    started: Arrival,
+    row_began: Arrival,
+    repeats: usize,
+    unverified: usize,
+    lost_in_a_row: u32,
+    remarks: Vec<String>,
+}
+
+/// Where a sweep stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+enum Step {
+    /// Nothing can be timed before the server's clock is known.
+    NeedsClock { deadline: Arrival },
+    /// A tilt was commanded and its line is waited for.
+    Waiting(Waiting),
+    /// All is done.
+    Finished,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Waiting {
+    row: usize,
+    sent: Arrival,
+    /// From this stamp on the command is in force.
+    in_force: Stamp,
+    /// From this stamp on the joint is at rest by computation; `None` where its law is unknown.
+    settled: Option<Stamp>,
+    slew_s: f64,
+    deadline: Arrival,
+    repeated: bool,
+    /// The last reading that contradicted the demand, if the newest one did.
+    elsewhere: Option<f64>,
+}
+
+/// Readings that show a joint of unknown law at rest: so many, over so long a time. A spring under
+/// 5 Hz cannot pass through the tolerance three times in a fifth of a second.
+const RESTING_READINGS: (usize, Span) = (3, Span::from_millis(200));
+
+/// A joint slower than told is waited for while its readings show it moving, but no longer than this.
+const LONGEST_MOVE: Span = Span::from_millis(60_000);
+
+/// Stamps have two decimals, rounded (protocol 1.7): rays may be this much older than the stamp.
+const STAMP_ROUNDING: Span = Span::from_millis(5);
+
+/// A set-point is rounded to a whole Unreal unit by the server: one 65536th of a turn, evenly spread.
+const SETPOINT_SIGMA_RAD: f64 = std::f64::consts::TAU / 65536.0 / 3.464_101_615_137_754_6;
+
+impl Sweep {
+    /// A sweep over `profile`, which is clipped to the link's limits and begun at the nearer end,
+    /// with the pan at `pan_rad`; its first actions.
+    pub fn start(
+        profile: Profile,
+        pan_rad: f64,
+        tolerance_rad: f64,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> (Self, Vec<HeadAction>) {
+        let mut sweep = Self {
+            profile,
+            pan_rad,
+            tolerance_rad,
+            step: Step::NeedsClock { deadline: now + config.row_timeout() },
+            rows: Vec::new(),
+            budget: TimeBudget::default(),
+            started: now,
+            row_began: now,
+            repeats: 0,
+            unverified: 0,
+            lost_in_a_row: 0,
+            remarks: Vec::new(),
+        };
+        let mut actions = Vec::new();
+        if sweep.profile.is_empty() {
+            sweep.remarks.push("no row of the profile can be reached".to_owned());
+            sweep.finish(control, now, &mut actions);
+        } else if control.clock().latest().is_some() {
+            sweep.command(0, false, control, config, now, &mut actions);
+        }
+        (sweep, actions)
+    }
+
+    /// Adds a line for the operator to the scan's remarks.
+    pub(super) fn remark(&mut self, text: String) {
+        self.remarks.push(text);
+    }
+
+    /// Takes an event that `control` has already noted; `jumped` if the server's clock did.
+    pub fn handle(
+        &mut self,
+        event: &HeadEvent<'_>,
+        jumped: bool,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> Vec<HeadAction> {
+        let mut actions = Vec::new();
+        if jumped {
+            self.restart_row(control, config, now, &mut actions);
+        }
+        match &self.step {
+            Step::NeedsClock { .. } if control.clock().latest().is_some() => {
+                self.command(0, false, control, config, now, &mut actions);
+            }
+            Step::NeedsClock { deadline } if now >= *deadline => {
+                self.remarks.push("no stamped message: the server's clock is unknown".to_owned());
+                self.finish(control, now, &mut actions);
+            }
+            Step::Waiting(_) => {
+                if let HeadEvent::Line(line) = event {
+                    self.on_line(line, control, config, now, &mut actions);
+                }
+                self.on_time(control, config, now, &mut actions);
+            }
+            Step::NeedsClock { .. } | Step::Finished => {}
+        }
+        actions
+    }
+
+    /// When the sweep must be called again even if nothing arrives.
+    pub fn next_wakeup(&self) -> Option<Arrival> {
+        match &self.step {
+            Step::NeedsClock { deadline } => Some(*deadline),
+            Step::Waiting(waiting) => Some(waiting.deadline),
+            Step::Finished => None,
+        }
+    }
+
+    /// Whether all is done.
+    pub fn is_finished(&self) -> bool {
+        self.step == Step::Finished
+    }
+
+    /// Rows dealt with, and rows in all.
+    pub fn progress(&self) -> (usize, usize) {
+        (self.rows.len(), self.profile.len())
+    }
+
+    /// Ends the sweep where it stands and hands over what there is.
+    pub fn stop(&mut self, why: &str, control: &HeadControl, now: Arrival) -> Option<Scan> {
+        if self.is_finished() {
+            return None;
+        }
+        self.remarks.push(why.to_owned());
+        let mut actions = Vec::new();
+        self.finish(control, now, &mut actions);
+        actions.into_iter().find_map(|action| match action {
+            HeadAction::Finished(scan) => Some(*scan),
+            HeadAction::Send(_) | HeadAction::Filed { .. } => None,
+        })
+    }
+
+    fn command(
+        &mut self,
+        row: usize,
+        repeated: bool,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        let Some(in_force) = control.in_force(now) else {
+            self.step = Step::NeedsClock { deadline: now + config.row_timeout() };
+            return;
+        };
+        let target = self.profile.tilts[row].radians();
+        if !repeated {
+            self.row_began = now;
+        }
+        let mut settle = settle_of(&control.tilt, target, self.tolerance_rad, in_force);
+        let pan_waits = control.pan.target_rad() != Some(self.pan_rad) || row == 0 || repeated;
+        if control.head().pan().is_some() && pan_waits {
+            let pan = settle_of(&control.pan, self.pan_rad, self.tolerance_rad, in_force);
+            settle = settle.zip(pan).map(|(a, b)| if a.total_s >= b.total_s { a } else { b });
+            actions.push(HeadAction::Send(control.command_pan(Demand::Angle(self.pan_rad), now)));
+        }
+        let command = control.command_tilt(Demand::Angle(target), now);
+        actions.push(HeadAction::Send(command));
+        let unknown = Settle { slew_s: 0.0, total_s: config.unknown_settle_s };
+        let expected = Span::from_seconds(settle.unwrap_or(unknown).total_s);
+        let lines = Span::from_seconds(4.0 * control.rhythm.interval().seconds());
+        self.step = Step::Waiting(Waiting {
+            row,
+            sent: now,
+            in_force,
+            settled: settle.map(|_| in_force + expected),
+            slew_s: settle.unwrap_or(unknown).slew_s,
+            deadline: now + control.clock().arrival_span(expected + lines) + config.row_timeout(),
+            repeated,
+            elsewhere: None,
+        });
+    }
+
+    fn restart_row(
+        &mut self,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        if let Step::Waiting(waiting) = &self.step {
+            let row = waiting.row;
+            self.remarks.push("the server's clock jumped: the row was begun anew".to_owned());
+            self.command(row, true, control, config, now, actions);
+        }
+    }
+
+    fn on_line(
+        &mut self,
+        line: &LaserLine,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        let Step::Waiting(waiting) = &mut self.step else { return };
+        if !control.rhythm.is_whole(line) {
+            return;
+        }
+        let target = self.profile.tilts[waiting.row].radians();
+        let cast = line.stamp - STAMP_ROUNDING;
+        let ready = readiness(waiting, target, self.tolerance_rad, cast, control, config);
+        waiting.elsewhere = match ready {
+            Readiness::Elsewhere(angle_rad) => Some(angle_rad),
+            Readiness::Verified | Readiness::Computed | Readiness::NotYet => None,
+        };
+        match ready {
+            Readiness::NotYet | Readiness::Elsewhere(_) => return,
+            Readiness::Verified => {}
+            Readiness::Computed => {
+                // Only a rig that does report is remarkable for not having reported this row.
+                self.unverified += usize::from(control.tilt.last_reading().is_some());
+            }
+        }
+        let (row, slew_s) = (waiting.row, waiting.slew_s);
+        let in_force = waiting.in_force;
+        let settle_s =
+            waiting.settled.map_or(config.unknown_settle_s, |s| (s - in_force).seconds());
+        let sent = waiting.sent;
+        self.budget.idle_s += (sent - self.row_began).seconds();
+        let scale = 1.0 / control.clock().rate();
+        self.budget.add_row((now - sent).seconds(), slew_s * scale, settle_s * scale);
+        self.lost_in_a_row = 0;
+        self.file(row, Some(line.clone()));
+        actions.push(HeadAction::Filed { row, tilt: self.profile.tilts[row] });
+        self.next_row(row, control, config, now, actions);
+    }
+
+    fn on_time(
+        &mut self,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        let Step::Waiting(waiting) = &self.step else { return };
+        if now < waiting.deadline {
+            return;
+        }
+        let row = waiting.row;
+        let patient = now - self.row_began < control.clock().arrival_span(LONGEST_MOVE);
+        if waiting.elsewhere.is_some() && patient && control.tilt.moves(control.clock().latest()) {
+            self.extend_deadline(now + config.row_timeout());
+            return;
+        }
+        if !waiting.repeated {
+            self.repeats += 1;
+            self.command(row, true, control, config, now, actions);
+            return;
+        }
+        let elsewhere = waiting.elsewhere;
+        self.budget.idle_s += (now - self.row_began).seconds();
+        self.file(row, None);
+        self.lost_in_a_row += 1;
+        let silent = control.rhythm.last_arrival().is_none_or(|at| {
+            now - at
+                > control.clock().arrival_span(control.rhythm.interval()) + config.row_timeout()
+        });
+        match elsewhere {
+            Some(stuck_rad) => self.skip_unreachable(row, stuck_rad),
+            None if silent && self.lost_in_a_row >= config.give_up_rows => {
+                let last = control.rhythm.last_arrival().unwrap_or(self.started);
+                self.remarks.push(format!(
+                    "the laser has been silent for {:.1} s: {} of {} rows taken",
+                    (now - last).seconds(),
+                    self.filed(),
+                    self.profile.len()
+                ));
+                self.finish(control, now, actions);
+                return;
+            }
+            None if self.lost_in_a_row >= config.give_up_rows => {
+                self.remarks.push(format!(
+                    "{} rows in a row had no usable line: {} of {} rows taken",
+                    self.lost_in_a_row,
+                    self.filed(),
+                    self.profile.len()
+                ));
+                self.finish(control, now, actions);
+                return;
+            }
+            None => {}
+        }
+        self.next_row(row, control, config, now, actions);
+    }
+
+    fn extend_deadline(&mut self, deadline: Arrival) {
+        if let Step::Waiting(waiting) = &mut self.step {
+            waiting.deadline = deadline;
+        }
+    }
+
+    /// The tilt rests at `stuck_rad` although `row` was demanded: rows on the far side of it are out
+    /// of reach, be it that the link's limits are narrower than told or that it is stuck. The rows
+    /// on the near side are still tried; if the next of them fails too, nothing is left.
+    fn skip_unreachable(&mut self, row: usize, stuck_rad: f64) {
+        let demanded = self.profile.tilts[row].radians();
+        let beyond = |tilt: &QuarterDegrees| {
+            (tilt.radians() - stuck_rad) * (demanded - stuck_rad) > 0.0
+                && (tilt.radians() - stuck_rad).abs() > self.tolerance_rad
+        };
+        let kept: Vec<_> =
+            self.profile.tilts[row + 1..].iter().copied().filter(|tilt| !beyond(tilt)).collect();
+        let lost = self.profile.len() - (row + 1) - kept.len() + 1;
+        self.profile.tilts.truncate(row + 1);
+        self.profile.tilts.extend(kept);
+        self.remarks.push(format!(
+            "the tilt rests at {:.2}° though {} was demanded: {lost} rows beyond it are lost",
+            stuck_rad.to_degrees(),
+            self.profile.tilts[row],
+        ));
+    }
+
+    fn next_row(
+        &mut self,
+        row: usize,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        if row + 1 < self.profile.len() {
+            self.command(row + 1, false, control, config, now, actions);
+        } else {
+            self.finish(control, now, actions);
+        }
+    }
+
+    fn file(&mut self, row: usize, line: Option<LaserLine>) {
+        let demanded = self.profile.tilts[row];
+        self.rows.push(FiledRow {
+            demanded,
+            pose: HeadPose { pan_rad: self.pan_rad, tilt_rad: demanded.radians() },
+            tilt_sigma_rad: (0.5 * self.tolerance_rad).hypot(SETPOINT_SIGMA_RAD),
+            reference_from_robot: Isometry3::identity(),
+            line,
+        });
+    }
+
+    fn filed(&self) -> usize {
+        self.rows.iter().filter(|row| row.line.is_some()).count()
+    }
+
+    fn finish(&mut self, control: &HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
+        self.step = Step::Finished;
+        let filed = self.filed();
+        if self.unverified > 0 {
+            self.remarks.push(format!(
+                "{} rows were filed on the computed waiting time: no reading of that time came",
+                self.unverified
+            ));
+        }
+        let gaps = self.rows.len() - filed;
+        if gaps > 0 {
+            self.remarks.push(format!("{gaps} rows are gaps"));
+        }
+        let image =
+            image_of(&self.rows, &control.robot_from_scan(), |pose| control.scan_from_sensor(pose));
+        actions.push(HeadAction::Finished(Box::new(Scan {
+            image,
+            profile: self.profile.name.clone(),
+            complete: filed == self.rows.len() && filed == self.profile.len() && filed > 0,
+            filed,
+            gaps,
+            repeats: self.repeats,
+            unverified: self.unverified,
+            errors: ScanErrors {
+                tilt_common_rad: 0.5 * self.tolerance_rad,
+                tilt_row_rad: SETPOINT_SIGMA_RAD,
+                time_s: 0.0,
+            },
+            budget: self.budget,
+            started: self.started,
+            ended: now,
+            remarks: self.remarks.clone(),
+        })));
+        self.rows.clear();
+    }
+}
+
+/// Times until a joint rests at a target.
+#[derive(Clone, Copy)]
+struct Settle {
+    slew_s: f64,
+    total_s: f64,
+}
+
+/// How long the joint needs to `target_rad`, counted from `in_force`; `None` if its law is unknown.
+///
+/// The command may have come into force earlier than that, so the distance is the greater of the two
+/// ends, and what the row before was allowed to be off is added.
+fn settle_of(
+    track: &super::track::AxisTrack,
+    target_rad: f64,
+    tolerance_rad: f64,
+    in_force: Stamp,
+) -> Option<Settle> {
+    let law = track.law()?;
+    let error = track.error_bound_rad(target_rad, in_force) + tolerance_rad;
+    Some(Settle { slew_s: law.slew_s(error), total_s: law.settle_s(error, tolerance_rad) })
+}
+
+/// Whether a line may be filed.
+enum Readiness {
+    /// The tilt was not yet there when the rays were cast, or not provably.
+    NotYet,
+    /// By computation it was there, and a reading says so too.
+    Verified,
+    /// By computation it was there; no reading of that time exists.
+    Computed,
+    /// By computation it was there, but a reading shows it at this angle.
+    Elsewhere(f64),
+}
+
+fn readiness(
+    waiting: &Waiting,
+    target_rad: f64,
+    tolerance_rad: f64,
+    cast: Stamp,
+    control: &HeadControl,
+    config: &AcquisitionConfig,
+) -> Readiness {
+    let track = &control.tilt;
+    let Some(settled) = waiting.settled else {
+        let since = (waiting.in_force, cast);
+        let rested = track.rests(target_rad, tolerance_rad, since, RESTING_READINGS);
+        if rested {
+            return Readiness::Verified;
+        }
+        let patience = Span::from_seconds(config.unknown_settle_s);
+        if cast < waiting.in_force + patience {
+            return Readiness::NotYet;
+        }
+        return match track.verdict(target_rad, tolerance_rad, waiting.in_force, cast) {
+            Verdict::Unverified => Readiness::Computed,
+            Verdict::Contradicted { angle_rad } => Readiness::Elsewhere(angle_rad),
+            // It reads as there, but has not yet been seen to rest.
+            Verdict::Confirmed => Readiness::NotYet,
+        };
+    };
+    if cast < settled {
+        return Readiness::NotYet;
+    }
+    match track.verdict(target_rad, tolerance_rad, settled, cast + STAMP_ROUNDING) {
+        Verdict::Confirmed => Readiness::Verified,
+        Verdict::Unverified => Readiness::Computed,
+        Verdict::Contradicted { angle_rad } => Readiness::Elsewhere(angle_rad),
+    }
+}

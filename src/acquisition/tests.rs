@@ -1,0 +1,264 @@
+//! Whole sweeps against the test bed.
+
+use super::testbed::{Behaviour, Faults, Testbed, head};
+use super::*;
+use crate::geometry::AngleSpan;
+use proptest::prelude::*;
+
+fn fixture(behaviour: &Behaviour, law: Option<ServoLaw>) -> Acquisition {
+    let speed = match behaviour.law {
+        ServoLaw::Hinge { speed_rad_s, .. } => Some(speed_rad_s),
+        ServoLaw::Spring { .. } => None,
+    };
+    Acquisition::new(&head(behaviour.limits, speed), law, AcquisitionConfig::default())
+}
+
+fn request(profile: Profile) -> SweepRequest {
+    SweepRequest { profile, pan_rad: 0.0, tolerance_rad: None }
+}
+
+/// `count` rows of a quarter degree from `first` on.
+fn rows(first: i32, count: i32) -> Profile {
+    let tilts = (first..first + count).map(QuarterDegrees).collect();
+    Profile { name: "test".into(), tilts }
+}
+
+/// Lets the clocks meet, then sweeps.
+fn sweep(bed: &mut Testbed, acquisition: &mut Acquisition, profile: Profile) -> Scan {
+    bed.run(acquisition, 1.0);
+    let actions = acquisition.start(request(profile), bed.now());
+    let at_once = bed.take(actions);
+    at_once.or_else(|| bed.run(acquisition, 600.0)).expect("a sweep never hangs")
+}
+
+fn worst(errors: &[f64]) -> f64 {
+    errors.iter().fold(0.0, |worst: f64, e| worst.max(e.abs()))
+}
+
+const TOLERANCE_DEG: f64 = 0.0125;
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+    #[test]
+    fn no_row_is_filed_with_the_tilt_off_its_demanded_angle(
+        speed in 0.05..1.0f64, gap_deg in 0.5..3.0f64, burst in 0.08..0.4f64, jitter in 0.0..0.1f64,
+        cast_share in 0.0..1.0f64, line_lags: bool, readings: bool,
+        up in 0.0..0.02f64, down in 0.0..0.015f64, frame in 0.005..0.033f64, seed: u64,
+        first in -100..60i32, step in 1..24i32
+    ) {
+        // The law is the hinge's with another gap: the agent is told speed and gap, no more.
+        let law = ServoLaw::Hinge { speed_rad_s: speed, gap_rad: gap_deg.to_radians() };
+        let behaviour = Behaviour {
+            law, burst_s: burst, jitter_s: jitter * burst, cast_share, line_lags, readings,
+            up_s: up, down_s: down, frame_s: frame, ..Behaviour::default()
+        };
+        let mut acquisition = fixture(&behaviour, Some(law));
+        let mut bed = Testbed::new(behaviour, Faults::default(), seed);
+        let profile = Profile {
+            name: "test".into(),
+            tilts: (0..6).map(|i| QuarterDegrees(first + i * step)).collect(),
+        };
+        let scan = sweep(&mut bed, &mut acquisition, profile);
+        prop_assert!(scan.complete, "{:?}", scan.remarks);
+        let errors = bed.tilt_errors_deg(&scan);
+        prop_assert_eq!(errors.len(), 6);
+        prop_assert!(worst(&errors) <= TOLERANCE_DEG + 1e-9, "{:?}", errors);
+    }
+
+    #[test]
+    fn a_spring_of_unknown_law_is_waited_for_by_its_readings(
+        frequency in 8.0..40.0f64, damping in 0.15..2.0f64, seed: u64, step in 1..20i32
+    ) {
+        let behaviour = Behaviour {
+            law: ServoLaw::Spring { frequency_rad_s: frequency, damping },
+            burst_s: 0.1, line_lags: false, stamp_grid_s: 1e-4, reading_grid_rad: 1e-4,
+            ..Behaviour::default()
+        };
+        let mut acquisition = fixture(&behaviour, None);
+        let mut bed = Testbed::new(behaviour, Faults::default(), seed);
+        let profile = Profile {
+            name: "test".into(),
+            tilts: (0..6).map(|i| QuarterDegrees(i * step)).collect(),
+        };
+        let scan = sweep(&mut bed, &mut acquisition, profile);
+        prop_assert!(scan.complete, "{:?}", scan.remarks);
+        // The reading's own grid comes on top of the tolerance.
+        let bound = TOLERANCE_DEG + 2e-4_f64.to_degrees();
+        prop_assert!(worst(&bed.tilt_errors_deg(&scan)) <= bound, "{:?}", bed.tilt_errors_deg(&scan));
+    }
+}
+
+#[test]
+fn the_next_sweep_runs_the_other_way() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let mut bed = Testbed::new(behaviour, Faults::default(), 3);
+    let first = sweep(&mut bed, &mut acquisition, rows(-8, 6));
+    let second = sweep(&mut bed, &mut acquisition, rows(-8, 6));
+    assert!(first.complete && second.complete);
+    assert_eq!(first.image.rows()[5].tilt_rad, second.image.rows()[0].tilt_rad);
+    assert!(first.remarks.is_empty(), "{:?}", first.remarks);
+}
+
+#[test]
+fn a_laser_that_stops_ends_the_sweep_with_what_there_is() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let faults = Faults { laser_stops_at_s: Some(12.0), ..Faults::default() };
+    let mut bed = Testbed::new(behaviour, faults, 5);
+    let scan = sweep(&mut bed, &mut acquisition, rows(-40, 40));
+    assert!(!scan.complete && scan.filed >= 5, "{}", scan.filed);
+    assert_eq!(scan.gaps, 3);
+    assert!(scan.remarks[0].starts_with("the laser has been silent for"), "{:?}", scan.remarks);
+    assert!(worst(&bed.tilt_errors_deg(&scan)) <= TOLERANCE_DEG);
+    assert!(bed.now_s() < 60.0, "three rows of two waits each, then the end");
+}
+
+#[test]
+fn a_tilt_that_sticks_ends_the_sweep_with_the_rows_before() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let faults = Faults { tilt_sticks_at_s: Some(14.0), ..Faults::default() };
+    let mut bed = Testbed::new(behaviour, faults, 6);
+    let scan = sweep(&mut bed, &mut acquisition, rows(-40, 60));
+    assert!(!scan.complete && scan.filed >= 5);
+    assert!(scan.remarks[0].contains("the tilt rests at"), "{:?}", scan.remarks);
+    assert!(worst(&bed.tilt_errors_deg(&scan)) <= TOLERANCE_DEG + 0.012);
+}
+
+#[test]
+fn limits_narrower_than_told_lose_the_rows_beyond_and_keep_the_rest() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let true_limits = Some(AngleSpan::new(-2.1_f64.to_radians(), 1.4_f64.to_radians()));
+    let faults = Faults { true_limits, ..Faults::default() };
+    let mut bed = Testbed::new(behaviour, faults, 7);
+    let scan = sweep(&mut bed, &mut acquisition, rows(-20, 40));
+    let mut filed: Vec<f64> = scan
+        .image
+        .rows()
+        .iter()
+        .filter(|row| row.stamp.is_some())
+        .map(|row| row.tilt_rad.to_degrees())
+        .collect();
+    filed.sort_by(f64::total_cmp);
+    assert_eq!(filed.len(), 14, "{filed:?}");
+    assert!((filed[0] + 2.0).abs() < 1e-9 && (filed[13] - 1.25).abs() < 1e-9, "{filed:?}");
+    assert!(scan.remarks[0].starts_with("the tilt rests at 1.4"), "{:?}", scan.remarks);
+    assert!(scan.remarks[1].starts_with("the tilt rests at -2.1"), "{:?}", scan.remarks);
+    assert_eq!(scan.gaps, 2);
+    assert!(worst(&bed.tilt_errors_deg(&scan)) <= TOLERANCE_DEG + 0.012);
+}
+
+#[test]
+fn readings_that_come_late_leave_the_computed_wait_to_decide() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let faults = Faults { reading_delay_s: 5.0, ..Faults::default() };
+    let mut bed = Testbed::new(behaviour, faults, 8);
+    bed.run(&mut acquisition, 8.0);
+    let scan = sweep(&mut bed, &mut acquisition, rows(-8, 10));
+    assert!(scan.complete && scan.unverified == 10, "{:?}", scan.remarks);
+    assert!(scan.remarks[0].starts_with("10 rows were filed on the computed waiting time"));
+    assert!(worst(&bed.tilt_errors_deg(&scan)) <= TOLERANCE_DEG);
+}
+
+#[test]
+fn readings_out_of_order_are_sorted_and_harmless() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let faults = Faults { swap_readings: true, ..Faults::default() };
+    let mut bed = Testbed::new(behaviour, faults, 9);
+    let scan = sweep(&mut bed, &mut acquisition, rows(-8, 10));
+    assert!(scan.complete, "{:?}", scan.remarks);
+    assert!(worst(&bed.tilt_errors_deg(&scan)) <= TOLERANCE_DEG);
+}
+
+#[test]
+fn lost_lines_cost_time_and_no_rows() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let faults = Faults { drop_every: Some(2), ..Faults::default() };
+    let mut bed = Testbed::new(behaviour, faults, 10);
+    let scan = sweep(&mut bed, &mut acquisition, rows(-8, 10));
+    assert!(scan.complete, "{:?}", scan.remarks);
+}
+
+#[test]
+fn a_clock_that_jumps_begins_the_row_anew() {
+    let behaviour = Behaviour::default();
+    for jump in [-500.0, 500.0] {
+        let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+        let faults = Faults { clock_jump: Some((5.0, jump)), ..Faults::default() };
+        let mut bed = Testbed::new(behaviour.clone(), faults, 11);
+        let scan = sweep(&mut bed, &mut acquisition, rows(-8, 10));
+        assert!(scan.complete, "{:?}", scan.remarks);
+        assert!(scan.remarks[0].contains("clock jumped"), "{:?}", scan.remarks);
+        assert!(worst(&bed.tilt_errors_deg(&scan)) <= TOLERANCE_DEG);
+    }
+}
+
+#[test]
+fn a_silent_server_ends_the_sweep_with_a_reason() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let actions = acquisition.start(request(rows(-8, 4)), Arrival(0));
+    assert!(actions.is_empty());
+    let wakeup = acquisition.next_wakeup().unwrap();
+    let actions = acquisition.handle(&HeadEvent::Tick, wakeup);
+    let Some(HeadAction::Finished(scan)) = actions.first() else { panic!("{actions:?}") };
+    assert!(!scan.complete && scan.remarks[0].contains("clock is unknown"));
+    assert_eq!(acquisition.next_wakeup(), None);
+}
+
+#[test]
+fn parking_is_verified_by_readings_and_computed_without() {
+    for readings in [true, false] {
+        let behaviour = Behaviour { readings, ..Behaviour::default() };
+        let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+        let mut bed = Testbed::new(behaviour, Faults::default(), 12);
+        bed.run(&mut acquisition, 1.0);
+        assert_eq!(acquisition.parked(bed.now()), ParkState::NotParked);
+        let actions = acquisition.park(HeadPose::tilted(0.3), bed.now());
+        bed.take(actions);
+        bed.run(&mut acquisition, 0.5);
+        assert_eq!(acquisition.parked(bed.now()), ParkState::Moving);
+        bed.run(&mut acquisition, 4.0);
+        let state = acquisition.parked(bed.now());
+        assert_eq!(matches!(state, ParkState::Verified { .. }), readings, "{state:?}");
+        assert_eq!(matches!(state, ParkState::Computed { .. }), !readings, "{state:?}");
+        assert!((bed.tilt_rad() - 0.3).abs() < 0.0044);
+        let stamp = acquisition.control().clock().latest().unwrap();
+        assert!(state.covers(stamp));
+        assert!((acquisition.pose_at(stamp).unwrap().tilt_rad - 0.3).abs() < 0.005);
+    }
+}
+
+#[test]
+fn a_head_that_does_not_reach_its_parking_place_is_not_called_parked() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let faults = Faults { tilt_sticks_at_s: Some(1.5), ..Faults::default() };
+    let mut bed = Testbed::new(behaviour, faults, 13);
+    bed.run(&mut acquisition, 1.0);
+    let actions = acquisition.park(HeadPose::tilted(0.5), bed.now());
+    bed.take(actions);
+    bed.run(&mut acquisition, 8.0);
+    let state = acquisition.parked(bed.now());
+    assert!(matches!(state, ParkState::Elsewhere { tilt_rad } if tilt_rad < 0.2), "{state:?}");
+}
+
+#[test]
+fn an_acquisition_goes_on_from_its_snapshot() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let mut bed = Testbed::new(behaviour, Faults::default(), 14);
+    bed.run(&mut acquisition, 1.0);
+    let actions = acquisition.start(request(rows(-8, 10)), bed.now());
+    bed.take(actions);
+    bed.run(&mut acquisition, 3.0);
+    let bytes = postcard::to_stdvec(&acquisition).unwrap();
+    let mut restored: Acquisition = postcard::from_bytes(&bytes).unwrap();
+    assert!(restored == acquisition, "a snapshot restores the value");
+    assert!(bed.run(&mut restored, 60.0).unwrap().complete);
+}

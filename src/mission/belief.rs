@@ -1,0 +1,446 @@
+//! What the agent believes: where it is, what the world looks like, what can be driven on.
+//!
+//! Between two sweeps the pose is dead reckoning from the last one, and lines taken on the way enter
+//! a *live* terrain under that pose. A sweep corrects the pose; the way since the one before is then
+//! bent to fit, its lines enter the *settled* terrain where they really were taken, and the live
+//! terrain begins anew as a copy of it. So an error of odometry lasts one leg and no longer.
+
+use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
+use crate::geometry::lie::{se3_exp, se3_log};
+use crate::mapping::{
+    Mapper, MapperConfig, ScanErrors, ScanObservations, UpdateReport, observations,
+};
+use crate::scan::{ImageRow, LaserLine, RangeImage, Return};
+use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
+use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
+use crate::time::Stamp;
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::ops::Range;
+
+/// Dead-reckoned poses kept for looking up where a line was taken.
+const HISTORY: usize = 64;
+
+/// A loop closure that moves no keyframe farther than this does not rebuild the terrain.
+const REBUILD_FROM_M: f64 = 0.03;
+
+/// Settings of what the belief is made of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BeliefConfig {
+    /// Localisation and mapping.
+    pub mapper: MapperConfig,
+    /// Segmentation.
+    pub segmentation: SegmentationConfig,
+    /// Terrain.
+    pub terrain: TerrainConfig,
+    /// First beam that is segmented: the paper leaves the outer ones out, where points crowd.
+    pub first_beam: usize,
+    /// One more than the last beam that is segmented.
+    pub end_beam: usize,
+    /// Standard deviation of roll and pitch as the inertial unit gives them, in radians.
+    pub attitude_sigma_rad: f64,
+    /// Turn rate above which a line taken under way is not mapped, in rad/s: its heading is off by
+    /// the rate times the uncertainty of its time.
+    pub mapped_turn_rps: f64,
+}
+
+impl Default for BeliefConfig {
+    fn default() -> Self {
+        Self {
+            mapper: MapperConfig::default(),
+            segmentation: SegmentationConfig::default(),
+            terrain: TerrainConfig::default(),
+            first_beam: 25,
+            end_beam: 156,
+            attitude_sigma_rad: 0.01,
+            mapped_turn_rps: 0.08,
+        }
+    }
+}
+
+/// A pose of the trajectory, tied to the keyframe before it so that corrections carry it along.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct TrackPoint {
+    stamp: Stamp,
+    keyframe: usize,
+    keyframe_from_robot: Isometry3<f64>,
+}
+
+/// A range image in the terrain and where it was taken.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Archived {
+    keyframe: usize,
+    keyframe_from_robot: Isometry3<f64>,
+    image: RangeImage,
+}
+
+/// What a sweep told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScanFindings {
+    /// Planes found.
+    pub planes: usize,
+    /// Spheres found.
+    pub spheres: usize,
+    /// Cylinders found.
+    pub cylinders: usize,
+    /// What the mapper did with the planes.
+    pub update: UpdateReport,
+}
+
+/// Pose, map and terrain.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Belief {
+    config: BeliefConfig,
+    mapper: Mapper,
+    #[serde(skip)]
+    segmenter: Option<Segmenter>,
+    settled: Terrain,
+    live: Terrain,
+    motion: MotionTracker,
+    /// Poses since the last keyframe, newest last.
+    history: VecDeque<(Stamp, Isometry3<f64>)>,
+    keyframe_from_robot: Isometry3<f64>,
+    leg: Leg,
+    track: Vec<TrackPoint>,
+    archive: Vec<Archived>,
+    start: Isometry3<f64>,
+    assumed_radius_m: f64,
+    path_m: f64,
+    odometry_alone: Isometry3<f64>,
+}
+
+/// What was gathered since the last keyframe; places are relative to it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Leg {
+    poses: Vec<(Stamp, Isometry3<f64>, f64)>,
+    lines: Vec<(Isometry3<f64>, f64, RangeImage)>,
+    path_m: f64,
+}
+
+impl Belief {
+    /// A belief that begins at `start`, with ground assumed within `assumed_radius_m` of it.
+    pub fn new(
+        config: BeliefConfig,
+        shape: RobotShape,
+        start: Isometry3<f64>,
+        assumed_radius_m: f64,
+    ) -> Self {
+        let mut terrain = Terrain::new(config.terrain.clone(), shape);
+        terrain.assume(&start, assumed_radius_m);
+        Self {
+            mapper: Mapper::new(config.mapper.clone(), start),
+            segmenter: None,
+            settled: terrain.clone(),
+            live: terrain,
+            motion: MotionTracker::default(),
+            history: VecDeque::new(),
+            keyframe_from_robot: Isometry3::identity(),
+            leg: Leg::default(),
+            track: Vec::new(),
+            archive: Vec::new(),
+            start,
+            assumed_radius_m,
+            path_m: 0.0,
+            odometry_alone: start,
+            config,
+        }
+    }
+
+    /// The settings.
+    pub fn config(&self) -> &BeliefConfig {
+        &self.config
+    }
+
+    /// Where the robot is believed to be now.
+    pub fn world_from_robot(&self) -> Isometry3<f64> {
+        self.keyframe_pose() * self.keyframe_from_robot
+    }
+
+    fn keyframe_pose(&self) -> Isometry3<f64> {
+        self.mapper.world_from_robot() * self.keyframe_from_robot.inverse()
+    }
+
+    /// The mapper.
+    pub fn mapper(&self) -> &Mapper {
+        &self.mapper
+    }
+
+    /// The terrain as known now, the current leg included.
+    pub fn terrain(&self) -> &Terrain {
+        &self.live
+    }
+
+    /// The terrain as a grid of the level the robot is on.
+    pub fn grid(&self) -> Grid {
+        self.live.project(&self.world_from_robot())
+    }
+
+    /// Length of the path believed driven, in metres.
+    pub fn path_m(&self) -> f64 {
+        self.path_m
+    }
+
+    /// Where wheel odometry alone would have the robot.
+    pub fn odometry_alone(&self) -> &Isometry3<f64> {
+        &self.odometry_alone
+    }
+
+    /// The last attitude reading.
+    pub fn attitude(&self) -> Option<BodyAttitude> {
+        self.motion.last_attitude()
+    }
+
+    /// Takes in an attitude reading.
+    pub fn take_attitude(&mut self, attitude: BodyAttitude) {
+        self.motion.attitude(attitude);
+    }
+
+    /// Takes in a wheel odometry reading of the time `stamp`.
+    pub fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
+        let alone = nalgebra::Isometry3::from_parts(
+            nalgebra::Translation3::new(wheels.x_m, wheels.y_m, 0.0),
+            nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, wheels.heading_rad),
+        );
+        self.odometry_alone = self.start * alone;
+        let Some(increment) = self.motion.wheels(wheels) else { return };
+        self.mapper.predict(&increment);
+        self.keyframe_from_robot *= increment;
+        self.keyframe_from_robot.rotation.renormalize();
+        let step_m = increment.translation.vector.norm();
+        self.path_m += step_m;
+        self.leg.path_m += step_m;
+        if self.history.len() == HISTORY {
+            self.history.pop_front();
+        }
+        self.history.push_back((stamp, self.keyframe_from_robot));
+        let moved = step_m > 0.0 || increment.rotation.angle() > 0.0;
+        if moved || self.leg.poses.is_empty() {
+            self.leg.poses.push((stamp, self.keyframe_from_robot, self.leg.path_m));
+            let pose = self.world_from_robot();
+            self.live.assume_footprint(&pose);
+        }
+    }
+
+    /// Forgets the wheels' origin: a new robot's odometry starts at zero.
+    pub fn restart_wheels(&mut self) {
+        self.motion.restart_wheels();
+        self.history.clear();
+    }
+
+    /// Where the robot was at `stamp`, relative to the last keyframe, and how fast it turned then in
+    /// rad/s; `None` where no odometry surrounds it.
+    fn at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, f64)> {
+        let after = self.history.iter().position(|(at, _)| *at >= stamp)?;
+        let (late, pose_late) = self.history[after];
+        if after == 0 {
+            return (late == stamp).then_some((pose_late, 0.0));
+        }
+        let (early, pose_early) = self.history[after - 1];
+        let seconds = (late - early).seconds();
+        if seconds <= 0.0 {
+            return Some((pose_late, 0.0));
+        }
+        let tangent = se3_log(&(pose_early.inverse() * pose_late));
+        let share = (stamp - early).seconds() / seconds;
+        let turn_rps = tangent.fixed_rows::<3>(3).norm() / seconds;
+        Some((pose_early * se3_exp(&(tangent * share)), turn_rps))
+    }
+
+    /// Maps a line taken under way with the sensor at `robot_from_sensor`; false where the robot
+    /// turned too fast for it, or its place is not known yet.
+    pub fn take_line(
+        &mut self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+        tilt_rad: f64,
+    ) -> bool {
+        let Some((keyframe_from_robot, turn_rps)) = self.at(line.stamp) else { return false };
+        if turn_rps > self.config.mapped_turn_rps {
+            return false;
+        }
+        let bearings = (0..line.len()).map(|beam| line.bearing_rad(beam)).collect();
+        let mut image = RangeImage::new(*robot_from_sensor, bearings, line.max_range_m);
+        let row = ImageRow {
+            tilt_rad,
+            tilt_sigma_rad: 0.0,
+            scan_from_sensor: Isometry3::identity(),
+            stamp: Some(line.stamp),
+        };
+        image.push_line(row, line);
+        self.live.integrate(&image, &(self.keyframe_pose() * keyframe_from_robot));
+        self.leg.lines.push((keyframe_from_robot, self.leg.path_m, image));
+        true
+    }
+
+    /// Maps a line of a fixed laser as flat occupancy (2D mode).
+    pub fn take_flat_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) -> bool {
+        let place = self.at(line.stamp).or_else(|| {
+            // A robot that has not moved is where it was.
+            (self.leg.path_m == 0.0).then_some((self.keyframe_from_robot, 0.0))
+        });
+        let Some((keyframe_from_robot, turn_rps)) = place else { return false };
+        if turn_rps > self.config.mapped_turn_rps {
+            return false;
+        }
+        let world_from_sensor = self.keyframe_pose() * keyframe_from_robot * robot_from_sensor;
+        self.live.integrate_line(line, &world_from_sensor);
+        self.settled.integrate_line(line, &world_from_sensor);
+        true
+    }
+
+    /// Takes in a finished sweep: segments it, corrects the pose by its planes, settles the leg that
+    /// led here, and maps the sweep.
+    pub fn take_scan(&mut self, image: RangeImage, errors: ScanErrors) -> ScanFindings {
+        let columns = self.segmented_columns(image.columns());
+        let grid = image.point_grid(columns);
+        let segmenter =
+            self.segmenter.get_or_insert_with(|| Segmenter::new(self.config.segmentation.clone()));
+        let segmentation = segmenter.segment(&grid);
+        let count = |is: fn(&Shape) -> bool| {
+            segmentation.surfaces.iter().filter(|surface| is(&surface.shape)).count()
+        };
+        let planes = count(|shape| matches!(shape, Shape::Plane(_)));
+        let spheres = count(|shape| matches!(shape, Shape::Sphere(_)));
+        let cylinders = count(|shape| matches!(shape, Shape::Cylinder(_)));
+        let scan = ScanObservations {
+            observations: observations(segmentation, &grid, &image.robot_from_scan),
+            robot_from_scan: image.robot_from_scan,
+            errors,
+        };
+        if let Some(attitude) = self.motion.last_attitude() {
+            let sigma = self.config.attitude_sigma_rad;
+            self.mapper.attitude(attitude.roll_rad, attitude.pitch_rad, sigma);
+        }
+        let update = self.mapper.observe(&scan);
+        self.settle(&update, image);
+        ScanFindings { planes, spheres, cylinders, update }
+    }
+
+    /// The beams that are segmented: the configured ones of the paper's 181, the same angles of others.
+    fn segmented_columns(&self, columns: usize) -> Range<usize> {
+        const PAPER_BEAMS: usize = 181;
+        if columns == PAPER_BEAMS {
+            return self.config.first_beam..self.config.end_beam;
+        }
+        let scaled = |beam: usize| beam * columns / PAPER_BEAMS;
+        scaled(self.config.first_beam)..scaled(self.config.end_beam)
+    }
+
+    fn settle(&mut self, update: &UpdateReport, image: RangeImage) {
+        let keyframes = self.mapper.keyframes();
+        let leg = std::mem::take(&mut self.leg);
+        let previous = update.keyframe.checked_sub(1);
+        let before = previous.map_or(self.start, |k| keyframes[k]);
+        // What the correction adds at the end of the leg, spread over its length.
+        let correction =
+            se3_log(&((before * self.keyframe_from_robot).inverse() * update.world_from_robot));
+        let bent = |keyframe_from_robot: &Isometry3<f64>, way_m: f64| {
+            let share = if leg.path_m > 0.0 { way_m / leg.path_m } else { 1.0 };
+            keyframe_from_robot * se3_exp(&(correction * share))
+        };
+        // Before the first keyframe everything hangs on it from behind.
+        let first_from_start =
+            previous.is_none().then(|| update.world_from_robot.inverse() * self.start);
+        let anchor = previous.unwrap_or(update.keyframe);
+        let tie = |pose: Isometry3<f64>| first_from_start.map_or(pose, |first| first * pose);
+        for (stamp, pose, way_m) in &leg.poses {
+            let keyframe_from_robot = tie(bent(pose, *way_m));
+            self.track.push(TrackPoint { stamp: *stamp, keyframe: anchor, keyframe_from_robot });
+        }
+        let mut fresh: Vec<Archived> = leg
+            .lines
+            .iter()
+            .map(|(pose, way_m, image)| Archived {
+                keyframe: anchor,
+                keyframe_from_robot: tie(bent(pose, *way_m)),
+                image: image.clone(),
+            })
+            .collect();
+        fresh.push(Archived {
+            keyframe: update.keyframe,
+            keyframe_from_robot: Isometry3::identity(),
+            image,
+        });
+        let farthest_m = update
+            .moved
+            .iter()
+            .map(|moved| {
+                let (a, b) = (moved.before.translation, moved.world_from_robot.translation);
+                (a.vector - b.vector).norm()
+            })
+            .fold(0.0, f64::max);
+        if farthest_m > REBUILD_FROM_M {
+            self.archive.append(&mut fresh);
+            self.rebuild(&keyframes);
+        } else {
+            for item in &fresh {
+                let pose = keyframes[item.keyframe] * item.keyframe_from_robot;
+                self.settled.integrate(&item.image, &pose);
+            }
+            for (_, pose, way_m) in &leg.poses {
+                let pose = keyframes[anchor] * tie(bent(pose, *way_m));
+                self.settled.assume_footprint(&pose);
+            }
+            self.archive.append(&mut fresh);
+        }
+        self.live = self.settled.clone();
+        self.keyframe_from_robot = Isometry3::identity();
+        // Lines that are still to come may be older than this moment: keep where the robot is now.
+        if let Some((stamp, _)) = self.history.back().copied() {
+            self.history.clear();
+            self.history.push_back((stamp, Isometry3::identity()));
+        }
+    }
+
+    /// The settled terrain from all images at their corrected poses.
+    fn rebuild(&mut self, keyframes: &[Isometry3<f64>]) {
+        let poses: Vec<Isometry3<f64>> = self
+            .archive
+            .iter()
+            .map(|item| keyframes[item.keyframe] * item.keyframe_from_robot)
+            .collect();
+        self.settled.rebuild(self.archive.iter().map(|item| &item.image).zip(&poses));
+        self.settled.assume(&self.start, self.assumed_radius_m);
+        for point in &self.track {
+            self.settled.assume_footprint(&(keyframes[point.keyframe] * point.keyframe_from_robot));
+        }
+    }
+
+    /// The trajectory as it is believed now, later corrections included.
+    pub fn trajectory(&self) -> Vec<(Stamp, Isometry3<f64>)> {
+        let keyframes = self.mapper.keyframes();
+        let base = self.keyframe_pose();
+        let settled = self
+            .track
+            .iter()
+            .map(|point| (point.stamp, keyframes[point.keyframe] * point.keyframe_from_robot));
+        settled.chain(self.leg.poses.iter().map(|(at, pose, _)| (*at, base * pose))).collect()
+    }
+
+    /// The height of the floor under the robot's origin, from what a sweep saw of it nearby; `None`
+    /// where too little was seen.
+    ///
+    /// Median over ground-like points within `reach_m` in the robot frame: below the origin and
+    /// within 15° of level as seen from there.
+    pub fn floor_below_m(image: &RangeImage, reach_m: f64, guess_m: f64) -> Option<f64> {
+        let mut depths: Vec<f64> = Vec::new();
+        for row in 0..image.rows().len() {
+            for column in 0..image.columns() {
+                let Return::Hit(range) = image.at(row, column) else { continue };
+                let p = image.robot_from_scan * image.point_at(row, column, range);
+                let away_m = p.x.hypot(p.y);
+                if away_m < reach_m && (p.z + guess_m).abs() < 0.06 + 0.05 * away_m {
+                    depths.push(-p.z);
+                }
+            }
+        }
+        const ENOUGH: usize = 50;
+        if depths.len() < ENOUGH {
+            return None;
+        }
+        depths.sort_by(f64::total_cmp);
+        Some(depths[depths.len() / 2])
+    }
+}

@@ -1,0 +1,252 @@
+//! A robot that moves as it is told, in a world of solids, exploring until nothing is left.
+
+use super::world::{Laser, SENSOR_HEIGHT, World, pose, robot_from_scan, scan_from_sensor};
+use nalgebra::Isometry3;
+use usar_agent::exploration::{Decision, ExploreConfig, Explorer};
+use usar_agent::navigation::{
+    CostMap, FollowConfig, FollowStatus, Follower, Guard, GuardConfig, PlanConfig, Planner, Pose2,
+    Trail,
+};
+use usar_agent::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
+use usar_agent::time::Arrival;
+
+/// How far ahead of the sensor the parked line meets level ground.
+const GUARD_AHEAD: f64 = 1.15;
+
+pub struct Robot {
+    pub world: World,
+    pub laser: Laser,
+    pub shape: RobotShape,
+    pub terrain: Terrain,
+    pub explorer: Explorer,
+    pub planner: Planner,
+    pub follower: Follower,
+    pub trail: Trail,
+    pub guard: Guard,
+    pub pose: Pose2,
+    pub grid: Grid,
+    pub pans: Vec<f64>,
+    pub tilts: Vec<f64>,
+    pub seconds: f64,
+    pub sweeps: usize,
+    pub driven: f64,
+    pub events: Vec<String>,
+    /// Least distance of the hull's support from falling, watched by the test.
+    pub violations: Vec<String>,
+}
+
+impl Robot {
+    pub fn new(world: World, start: Pose2, pans: Vec<f64>, tilts: Vec<f64>, laser: Laser) -> Self {
+        let shape = RobotShape::default();
+        let config = TerrainConfig::default();
+        let explore = ExploreConfig {
+            field_of_view_rad: std::f64::consts::TAU.min(std::f64::consts::PI * pans.len() as f64),
+            blind_m: SENSOR_HEIGHT / tilts[0].tan(),
+            ..ExploreConfig::default()
+        };
+        Self {
+            follower: Follower::new(FollowConfig::default(), &shape, config.edge_margin_m),
+            guard: Guard::new(GuardConfig::default(), &shape),
+            terrain: Terrain::new(config, shape.clone()),
+            explorer: Explorer::new(explore),
+            planner: Planner::default(),
+            trail: Trail::default(),
+            grid: Grid::default(),
+            world,
+            laser,
+            shape,
+            pose: start,
+            pans,
+            tilts,
+            seconds: 0.0,
+            sweeps: 0,
+            driven: 0.0,
+            events: Vec::new(),
+            violations: Vec::new(),
+        }
+    }
+
+    fn now(&self) -> Arrival {
+        Arrival::from_seconds(self.seconds)
+    }
+
+    /// The body's pose on the world's ground: height and slope under the wheels.
+    pub fn body(&self) -> Isometry3<f64> {
+        let at = |ahead: f64, aside: f64| {
+            let (sin, cos) = self.pose.yaw_rad.sin_cos();
+            let (x, y) = (
+                self.pose.x_m + cos * ahead - sin * aside,
+                self.pose.y_m + sin * ahead + cos * aside,
+            );
+            self.world.floor_below(x, y, 0.9).unwrap_or(-9.0)
+        };
+        let (front, back) = (at(0.2, 0.0), at(-0.2, 0.0));
+        let (left, right) = (at(0.0, 0.2), at(0.0, -0.2));
+        let pitch = -((front - back) / 0.4).atan();
+        let roll = ((left - right) / 0.4).atan();
+        let height = 0.25 * (front + back + left + right);
+        super::world::tilted_pose(
+            self.pose.x_m,
+            self.pose.y_m,
+            height,
+            self.pose.yaw_rad,
+            pitch,
+            roll,
+        )
+    }
+
+    pub fn sweep(&mut self) {
+        let body = self.body();
+        let image = self.laser.sweep(&self.world, &body, &self.pans, &self.tilts);
+        self.terrain.integrate(&image, &body);
+        self.grid = self.terrain.project(&body);
+        self.sweeps += 1;
+        self.seconds += 0.5 * (self.pans.len() * self.tilts.len()) as f64;
+        let field = self.explorer.config().field_of_view_rad;
+        self.explorer.swept(&self.grid, &self.pose, field);
+    }
+
+    pub fn start(&mut self, assumed: f64) {
+        let body = self.body();
+        self.terrain.assume(&body, assumed);
+        self.sweep();
+    }
+
+    /// Chooses, drives there, sweeps. False when nothing is left.
+    pub fn explore_once(&mut self) -> bool {
+        let now = self.now();
+        let costs = CostMap::new(&self.grid, &self.shape, &PlanConfig::default());
+        let decision = self.explorer.choose(
+            &self.grid,
+            &costs,
+            &self.shape,
+            &mut self.planner,
+            &self.pose,
+            now,
+        );
+        let choice = match decision {
+            Decision::Go(choice) => choice,
+            Decision::NothingLeft { frontiers_left, retry_at } => {
+                match retry_at {
+                    Some(at) if at.seconds() < self.seconds + 120.0 => {
+                        self.seconds = at.seconds();
+                        return true;
+                    }
+                    _ => {}
+                }
+                for left in frontiers_left {
+                    self.events
+                        .push(format!("left ({:.1}, {:.1}): {}", left.x, left.y, left.reason));
+                }
+                return false;
+            }
+        };
+        let path = self.planner.plan(&self.grid, &costs, &self.pose, choice.cell);
+        match path {
+            Ok(path) => self.drive(path.with_goal_yaw(choice.goal.yaw_rad)),
+            Err(error) => {
+                self.events.push(format!("plan: {error}"));
+                self.explorer.give_up(&error.to_string(), now);
+                return true;
+            }
+        }
+        self.sweep();
+        true
+    }
+
+    fn drive(&mut self, path: usar_agent::navigation::Path) {
+        self.follower.set_path(path);
+        for _ in 0..2000 {
+            let (mut command, status) = self.follower.step(&self.pose, &self.grid);
+            match status {
+                FollowStatus::Reached => {
+                    self.explorer.reached();
+                    return;
+                }
+                FollowStatus::Blocked(reason) => {
+                    self.events.push(format!(
+                        "blocked at ({:.2}, {:.2}): {reason}",
+                        self.pose.x_m, self.pose.y_m
+                    ));
+                    let now = self.now();
+                    self.explorer.give_up(&reason.to_string(), now);
+                    return;
+                }
+                FollowStatus::Following { .. } => {}
+            }
+            if command.linear_mps > 0.0 {
+                let verdict = self.guard_line();
+                if !verdict.is_clear() {
+                    self.events.push(format!(
+                        "guard at ({:.2}, {:.2}): {verdict:?}",
+                        self.pose.x_m, self.pose.y_m
+                    ));
+                    let now = self.now();
+                    self.explorer.give_up("guard line", now);
+                    return;
+                }
+            }
+            command = command.limited(0.7, 1.0);
+            let dt = 0.2;
+            for _ in 0..4 {
+                self.pose = self
+                    .pose
+                    .driven(0.25 * dt * command.linear_mps, 0.25 * dt * command.angular_rps);
+                self.check();
+            }
+            self.driven += dt * command.linear_mps.abs();
+            self.seconds += dt;
+            self.trail.note(&self.pose);
+            let body = self.body();
+            self.terrain.assume_footprint(&body);
+        }
+        self.events.push("drive took too long".into());
+        let now = self.now();
+        self.explorer.give_up("too slow", now);
+    }
+
+    fn guard_line(&mut self) -> usar_agent::navigation::GuardVerdict {
+        let body = self.body();
+        let tilt = (SENSOR_HEIGHT / GUARD_AHEAD).atan();
+        let robot_from_sensor = robot_from_scan() * scan_from_sensor(0.0, tilt);
+        let line = self.laser.line(&self.world, &(body * robot_from_sensor));
+        self.guard.judge(&line, &robot_from_sensor, Some((&body, &self.grid)))
+    }
+
+    /// Every part of the hull must lie over ground near the body's own, and in nothing solid.
+    fn check(&mut self) {
+        let body = self.body();
+        let floor = body.translation.z - super::world::BASE_HEIGHT;
+        for ahead in [-0.26, -0.13, 0.0, 0.13, 0.26] {
+            for aside in [-0.245, -0.12, 0.0, 0.12, 0.245] {
+                let p = body * nalgebra::Point3::new(ahead, aside, 0.0);
+                let slope = 0.4 * (p.x - body.translation.x).hypot(p.y - body.translation.y);
+                // From the robot's top down, so that what hangs lower is struck.
+                let from = floor + self.shape.height_m + slope;
+                let under = self.world.floor_below(p.x, p.y, from).unwrap_or(-9.0);
+                if under < floor - 0.1 - slope {
+                    self.violate(&format!(
+                        "ground {:.2} m below at ({:.2}, {:.2})",
+                        floor - under,
+                        p.x,
+                        p.y
+                    ));
+                } else if under > floor + 0.1 + slope
+                    || self.world.is_inside(&nalgebra::Point3::new(p.x, p.y, floor + 0.3))
+                {
+                    self.violate(&format!("hull touches something at ({:.2}, {:.2})", p.x, p.y));
+                }
+            }
+        }
+    }
+
+    fn violate(&mut self, what: &str) {
+        if self.violations.len() < 5 {
+            self.violations.push(format!("{what} with the robot at {:?}", self.pose));
+        }
+    }
+}
+
+pub fn start_pose(x: f64, y: f64, yaw: f64) -> Pose2 {
+    Pose2::from_isometry(&pose(x, y, 0.0, yaw))
+}
