@@ -5,6 +5,6 @@
 mod layering;
 mod mapping;
 mod protocol;
+mod segmentation;
 mod terrain;
 mod truth;
-mod segmentation;

@@ -1,5 +1,7 @@
 //! Arguments, wiring and exit codes: one file per verb.
 
+mod files;
+mod map;
 mod mission;
 mod paper;
 mod segment;
@@ -21,6 +23,8 @@ enum Verb {
     Mission(mission::MissionArguments),
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
+    /// Organised scans through segmentation, localisation and mapping.
+    Map(map::MapArguments),
     /// Regenerates the paper's tables and figures from this code.
     Paper(paper::PaperArguments),
 }
@@ -30,6 +34,7 @@ pub fn run(arguments: Arguments) -> ExitCode {
     let outcome = match arguments.verb {
         Verb::Mission(arguments) => mission::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
+        Verb::Map(arguments) => map::run(&arguments),
         Verb::Paper(arguments) => paper::run(arguments),
     };
     outcome.unwrap_or_else(|error| {

@@ -102,6 +102,11 @@ impl Full {
         self.estimate.landmark_covariance(id)
     }
 
+    /// Covariance of the motion between two scans, as a perturbation in the frame of the first.
+    pub fn motion_covariance(&self, first: usize, second: usize) -> Option<Matrix6<f64>> {
+        self.estimate.motion_covariance(first, second)
+    }
+
     /// Poses at all scans.
     pub fn keyframes(&self) -> Vec<Isometry3<f64>> {
         self.estimate.poses()

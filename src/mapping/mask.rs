@@ -8,8 +8,8 @@ pub const MASK_CELL_M: f64 = 0.1;
 const TILE: i32 = 8;
 /// Cells of which a mask is sampled when only nearness is asked.
 const NEAR_SAMPLES: usize = 200;
-/// No scanner spans a longer gap between neighbouring beams on one surface.
-const LONGEST_TRIANGLE_M: f64 = 50.0;
+/// No scanner sees a longer surface.
+const LONGEST_EXTENT_M: f64 = 400.0;
 
 /// Which cells of a plane were hit: a bit per 0.1 m square of its local x-y plane.
 ///
@@ -57,31 +57,6 @@ impl PlaneMask {
     pub fn insert(&mut self, point: &Point2<f64>) {
         if point.x.is_finite() && point.y.is_finite() {
             self.set(cell_of(point.x), cell_of(point.y));
-        }
-    }
-
-    /// Sets the cells whose centre lies in a triangle.
-    pub fn insert_triangle(&mut self, corners: &[Point2<f64>; 3]) {
-        let low = corners[0].inf(&corners[1]).inf(&corners[2]);
-        let high = corners[0].sup(&corners[1]).sup(&corners[2]);
-        let size_m = (high - low).amax();
-        if !size_m.is_finite() || size_m > LONGEST_TRIANGLE_M {
-            return;
-        }
-        let [a, b, c] = corners;
-        let side = |p: &Point2<f64>, q: &Point2<f64>, x: f64, y: f64| {
-            (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x)
-        };
-        let turn = side(a, b, c.x, c.y).signum();
-        for y in cell_of(low.y)..=cell_of(high.y) {
-            for x in cell_of(low.x)..=cell_of(high.x) {
-                let (px, py) = centre(x, y);
-                let inside =
-                    [(a, b), (b, c), (c, a)].iter().all(|(p, q)| side(p, q, px, py) * turn >= 0.0);
-                if inside {
-                    self.set(x, y);
-                }
-            }
         }
     }
 
@@ -182,6 +157,89 @@ impl PlaneMask {
     }
 }
 
+/// A mask in the making: plain tiles over a known extent, quicker to fill than the map of tiles.
+#[derive(Clone, Debug)]
+pub(super) struct MaskBuilder {
+    first_tile: (i32, i32),
+    size: (i32, i32),
+    tiles: Vec<u64>,
+}
+
+impl MaskBuilder {
+    /// A builder for points within the extent of `outline`; `None` where that has none or is larger
+    /// than any scanner reaches.
+    pub(super) fn over(outline: &[Point2<f64>]) -> Option<Self> {
+        let first = outline.first()?;
+        let (low, high) =
+            outline.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
+        if (high - low).amax() > LONGEST_EXTENT_M {
+            return None;
+        }
+        let tile = |coordinate: f64| cell_of(coordinate).div_euclid(TILE);
+        // A tile more on each side: points that are no corners may lie a rounding outside.
+        let first_tile = (tile(low.x) - 1, tile(low.y) - 1);
+        let size = (tile(high.x) - first_tile.0 + 2, tile(high.y) - first_tile.1 + 2);
+        Some(Self { first_tile, size, tiles: vec![0; (size.0 * size.1) as usize] })
+    }
+
+    fn set(&mut self, x: i32, y: i32) {
+        let tile_x = x.div_euclid(TILE) - self.first_tile.0;
+        let tile_y = y.div_euclid(TILE) - self.first_tile.1;
+        if (0..self.size.0).contains(&tile_x) && (0..self.size.1).contains(&tile_y) {
+            let bit = y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE);
+            self.tiles[(tile_y * self.size.0 + tile_x) as usize] |= 1 << bit;
+        }
+    }
+
+    /// Sets the cell of a point of the plane.
+    pub(super) fn insert(&mut self, point: &Point2<f64>) {
+        self.set(cell_of(point.x), cell_of(point.y));
+    }
+
+    /// Sets the cells whose centre lies in the quadrilateral of four neighbouring points, whose own
+    /// cells are set already.
+    pub(super) fn insert_quadrilateral(&mut self, corners: &[Point2<f64>; 4]) {
+        let [a, b, c, d] = corners;
+        let low = a.inf(b).inf(&c.inf(d));
+        let high = a.sup(b).sup(&c.sup(d));
+        let (from, to) = ((cell_of(low.x), cell_of(low.y)), (cell_of(high.x), cell_of(high.y)));
+        // Corners in one cell or in cells side by side leave nothing between them.
+        if to.0 - from.0 + to.1 - from.1 <= 1 {
+            return;
+        }
+        for corners in [[a, b, c], [a, c, d]] {
+            self.insert_triangle(&corners, from, to);
+        }
+    }
+
+    fn insert_triangle(&mut self, [a, b, c]: &[&Point2<f64>; 3], from: (i32, i32), to: (i32, i32)) {
+        let side = |p: &Point2<f64>, q: &Point2<f64>, x: f64, y: f64| {
+            (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x)
+        };
+        let turn = side(a, b, c.x, c.y).signum();
+        for y in from.1..=to.1 {
+            for x in from.0..=to.0 {
+                let (px, py) = centre(x, y);
+                let inside =
+                    [(a, b), (b, c), (c, a)].iter().all(|(p, q)| side(p, q, px, py) * turn >= 0.0);
+                if inside {
+                    self.set(x, y);
+                }
+            }
+        }
+    }
+
+    /// The mask.
+    pub(super) fn finish(self) -> PlaneMask {
+        let mut mask = PlaneMask::default();
+        for (index, &bits) in self.tiles.iter().enumerate().filter(|(_, bits)| **bits != 0) {
+            let (x, y) = (index as i32 % self.size.0, index as i32 / self.size.0);
+            mask.tiles.insert((x + self.first_tile.0, y + self.first_tile.1), bits);
+        }
+        mask
+    }
+}
+
 /// Ones from `low` to `high`, both cut to one row of a tile.
 fn bits_between(low: i32, high: i32) -> u64 {
     let (low, high) = (low.clamp(0, TILE), (high + 1).clamp(0, TILE));
@@ -199,11 +257,10 @@ mod tests {
     use proptest::prelude::*;
 
     fn rectangle(x0: f64, y0: f64, x1: f64, y1: f64) -> PlaneMask {
-        let mut mask = PlaneMask::default();
         let corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)].map(|(x, y)| Point2::new(x, y));
-        mask.insert_triangle(&[corners[0], corners[1], corners[2]]);
-        mask.insert_triangle(&[corners[0], corners[2], corners[3]]);
-        mask
+        let mut builder = MaskBuilder::over(&corners).unwrap();
+        builder.insert_quadrilateral(&corners);
+        builder.finish()
     }
 
     #[test]
@@ -213,6 +270,18 @@ mod tests {
         assert!(wall.contains(&Point2::new(-1.0, 1.0)) && wall.contains(&Point2::new(1.0, 1.0)));
         assert!(!wall.contains(&Point2::new(0.0, 1.0)));
         assert!((wall.area_m2() - 2.0 * 2.55 * 2.0).abs() < 0.6);
+    }
+
+    #[test]
+    fn a_builder_takes_points_outside_its_extent_for_nothing() {
+        let mut builder =
+            MaskBuilder::over(&[Point2::new(0.0, 0.0), Point2::new(1.0, 1.0)]).unwrap();
+        for p in [Point2::new(0.55, 0.25), Point2::new(-300.0, 0.0), Point2::new(f64::NAN, 1e9)] {
+            builder.insert(&p);
+        }
+        let mask = builder.finish();
+        assert!(mask.contains(&Point2::new(0.55, 0.25)) && mask.count() <= 2);
+        assert!(MaskBuilder::over(&[Point2::new(0.0, 0.0), Point2::new(1e9, 0.0)]).is_none());
     }
 
     #[test]

@@ -120,6 +120,13 @@ impl Mapper {
         self.motion.append(before_from_after);
     }
 
+    /// Takes in a motion that something else than the wheels measured, with its covariance as a
+    /// perturbation `[δt; δr]` in the frame before: two scans aligned in 2D, say, or no measurement at
+    /// all and a wide covariance.
+    pub fn predict_with(&mut self, before_from_after: &Isometry3<f64>, covariance: &Matrix6<f64>) {
+        self.motion.append_measured(before_from_after, covariance);
+    }
+
     /// Takes in the attitude that an inertial unit measures now, roll and pitch of `Rz Ry Rx` with
     /// z up, and its standard deviation. The next [`observe`](Self::observe) uses the last one given.
     pub fn attitude(&mut self, roll_rad: f64, pitch_rad: f64, sigma_rad: f64) {
@@ -205,6 +212,15 @@ impl Mapper {
         match &self.engine {
             Engine::Mip { .. } => None,
             Engine::Full(full) => full.landmark_covariance(id),
+        }
+    }
+
+    /// Covariance of the motion between two scans, as a perturbation `[δt; δr]` in the frame of the
+    /// first; `None` for unknown scans and in the paper's mode, which forgets old poses.
+    pub fn motion_covariance(&self, first: usize, second: usize) -> Option<Matrix6<f64>> {
+        match &self.engine {
+            Engine::Mip { .. } => None,
+            Engine::Full(full) => full.motion_covariance(first, second),
         }
     }
 

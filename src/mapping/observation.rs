@@ -1,4 +1,4 @@
-use super::mask::PlaneMask;
+use super::mask::{MaskBuilder, PlaneMask};
 use crate::geometry::{Plane, polygon_area};
 use crate::scan::PointGrid;
 use crate::segmentation::{PlanePatch, Segmentation, Shape, Surface};
@@ -82,57 +82,83 @@ pub fn observations(
     grid: &PointGrid,
     robot_from_grid: &Isometry3<f64>,
 ) -> Vec<Observation> {
-    let mut found: Vec<Option<Observation>> = segmentation
+    let mut found: Vec<Option<(Observation, Painter)>> = segmentation
         .surfaces
         .iter()
-        .map(|surface| Observation::from_surface(surface, robot_from_grid))
-        .collect();
-    let slots = slots_by_label(segmentation);
-    let planes_from_grid: Vec<Option<Isometry3<f64>>> = segmentation
-        .surfaces
-        .iter()
-        .map(|surface| match &surface.shape {
-            Shape::Plane(patch) => Some(patch.grid_from_plane.inverse()),
-            _ => None,
+        .map(|surface| {
+            let observation = Observation::from_surface(surface, robot_from_grid)?;
+            let painter = Painter::new(surface)?;
+            Some((observation, painter))
         })
         .collect();
-    let columns = segmentation.columns;
-    let label_at = |row: usize, column: usize| segmentation.labels.get(row * columns + column);
-    for row in 0..segmentation.rows {
+    let slots = slots_by_label(segmentation);
+    let (rows, columns) = (segmentation.rows, segmentation.columns);
+    // Local coordinates of the row above and of this one; neighbours of one label in both rows and
+    // columns span a piece that was seen as a whole.
+    let mut above: Vec<Option<(usize, Point2<f64>)>> = vec![None; columns];
+    for row in 0..rows {
+        let mut here = vec![None; columns];
         for column in 0..columns {
-            let Some(&label) = label_at(row, column).filter(|label| **label > 0) else { continue };
-            let Some(&Some(slot)) = slots.get(usize::from(label)) else { continue };
-            let (Some(observation), Some(plane_from_grid)) =
-                (&mut found[slot], &planes_from_grid[slot])
-            else {
+            let label = usize::from(segmentation.labels[row * columns + column]);
+            let Some(slot) = slots.get(label).copied().flatten() else { continue };
+            let Some((_, painter)) = &mut found[slot] else { continue };
+            let Some(point) = grid.point(row, column) else { continue };
+            let local = painter.place(&point);
+            painter.builder.insert(&local);
+            here[column] = Some((slot, local));
+            if column == 0 {
                 continue;
-            };
-            let local = |row: usize, column: usize| {
-                (row < segmentation.rows && column < columns)
-                    .then(|| label_at(row, column).filter(|other| **other == label))
-                    .flatten()
-                    .and_then(|_| grid.point(row, column))
-                    .map(|p| (plane_from_grid * p).xy())
-            };
-            let Some(corner) = local(row, column) else { continue };
-            observation.mask.insert(&corner);
-            // Four neighbours of one region span a piece that was seen as a whole.
-            let ring = [local(row, column + 1), local(row + 1, column + 1), local(row + 1, column)];
-            if let [Some(b), Some(c), Some(d)] = ring {
-                observation.mask.insert_triangle(&[corner, b, c]);
-                observation.mask.insert_triangle(&[corner, c, d]);
+            }
+            if let (Some((a, p)), Some((b, q)), Some((c, r))) =
+                (above[column - 1], above[column], here[column - 1])
+                && a == slot
+                && b == slot
+                && c == slot
+            {
+                painter.builder.insert_quadrilateral(&[p, q, local, r]);
             }
         }
+        above = here;
     }
-    found.into_iter().flatten().collect()
+    found
+        .into_iter()
+        .flatten()
+        .map(|(observation, painter)| Observation { mask: painter.builder.finish(), ..observation })
+        .collect()
 }
 
-/// Position in `surfaces` of each label.
+/// Carries points into a patch's frame and marks the cells they hit.
+struct Painter {
+    /// The frame's x and y axes and its origin, in the grid's frame.
+    axes: [Vector3<f64>; 2],
+    origin: Vector3<f64>,
+    builder: MaskBuilder,
+}
+
+impl Painter {
+    fn new(surface: &Surface) -> Option<Self> {
+        let Shape::Plane(patch) = &surface.shape else { return None };
+        let rotation = patch.grid_from_plane.rotation;
+        Some(Self {
+            axes: [rotation * Vector3::x(), rotation * Vector3::y()],
+            origin: patch.grid_from_plane.translation.vector,
+            builder: MaskBuilder::over(&patch.hull)?,
+        })
+    }
+
+    fn place(&self, point: &Point3<f64>) -> Point2<f64> {
+        let from = point.coords - self.origin;
+        Point2::new(self.axes[0].dot(&from), self.axes[1].dot(&from))
+    }
+}
+
+/// Position in `surfaces` of each label; label 0 is none.
 fn slots_by_label(segmentation: &Segmentation) -> Vec<Option<usize>> {
     let highest = segmentation.surfaces.iter().map(|surface| surface.id).max().unwrap_or(0);
     let mut slots = vec![None; usize::from(highest) + 1];
     for (slot, surface) in segmentation.surfaces.iter().enumerate() {
         slots[usize::from(surface.id)] = Some(slot);
     }
+    slots[0] = None;
     slots
 }

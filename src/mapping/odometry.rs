@@ -57,31 +57,59 @@ pub struct Motion {
     pub path_m: f64,
     /// Sum of the absolute turns in radians.
     pub turn_rad: f64,
+    /// Covariance of parts of the motion that were measured otherwise, in the frame at the beginning.
+    pub measured: Matrix6<f64>,
 }
 
 impl Default for Motion {
     fn default() -> Self {
-        Self { before_from_after: Isometry3::identity(), path_m: 0.0, turn_rad: 0.0 }
+        Self {
+            before_from_after: Isometry3::identity(),
+            path_m: 0.0,
+            turn_rad: 0.0,
+            measured: Matrix6::zeros(),
+        }
     }
 }
 
 impl Motion {
     /// Appends one odometry increment.
     pub fn append(&mut self, before_from_after: &Isometry3<f64>) {
-        self.before_from_after *= before_from_after;
-        self.before_from_after.rotation.renormalize();
+        if self.measured != Matrix6::zeros() {
+            self.append_measured(before_from_after, &Matrix6::zeros());
+        } else {
+            self.before_from_after *= before_from_after;
+            self.before_from_after.rotation.renormalize();
+        }
         self.path_m += before_from_after.translation.vector.norm();
         self.turn_rad += before_from_after.rotation.angle();
     }
 
+    /// Appends a motion that was not measured by the wheels, with the covariance of its perturbation in
+    /// the frame before it.
+    pub fn append_measured(
+        &mut self,
+        before_from_after: &Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+    ) {
+        self.measured = predicted_covariance(
+            &self.before_from_after,
+            &self.measured,
+            before_from_after,
+            covariance,
+        );
+        self.before_from_after *= before_from_after;
+        self.before_from_after.rotation.renormalize();
+    }
+
     /// Whether nothing was appended that moved the robot.
     pub fn is_still(&self) -> bool {
-        self.path_m == 0.0 && self.turn_rad == 0.0
+        self.path_m == 0.0 && self.turn_rad == 0.0 && self.measured == Matrix6::zeros()
     }
 }
 
 impl OdometryNoise {
-    /// The paper's Q: covariance of a motion's error `[δt; δr]` in the frame at its beginning.
+    /// The paper's Q with the covariance of what was measured otherwise: covariance of a motion's error `[δt; δr]` in the frame at its beginning.
     pub fn covariance(&self, motion: &Motion) -> Matrix6<f64> {
         let sum = |parts: [f64; 3]| parts.iter().map(|part| part * part).sum::<f64>();
         let (path, turn) = (motion.path_m, motion.turn_rad);
@@ -108,7 +136,7 @@ impl OdometryNoise {
             covariance[(row, 5)] += heading * lever;
             covariance[(5, row)] += heading * lever;
         }
-        covariance
+        covariance + motion.measured
     }
 }
 

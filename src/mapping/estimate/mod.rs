@@ -13,6 +13,7 @@ use super::graph::{FactorId, Graph, GraphConfig, Key, positive};
 use super::index::SpatialIndex;
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
+use super::perturbation::{first_jacobian, second_jacobian, symmetric};
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
@@ -153,6 +154,22 @@ impl Estimate {
         self.keyframes.last().map_or(self.start_covariance, |keyframe| {
             Matrix6::from_column_slice(self.graph.covariance(&[keyframe.pose]).as_slice())
         })
+    }
+
+    /// Covariance of the motion between two scans, in the frame of the first.
+    pub(super) fn motion_covariance(&self, first: usize, second: usize) -> Option<Matrix6<f64>> {
+        let (first, second) = (self.keyframes.get(first)?.pose, self.keyframes.get(second)?.pose);
+        let joint = self.graph.covariance(&[first, second]);
+        let (before, after) = (self.graph.pose(first), self.graph.pose(second));
+        // The error of the motion: J2 of its inverse, applied to what the first error does not carry
+        // along rigidly.
+        let carried = first_jacobian(&before, &after);
+        let into_first = second_jacobian(&before).transpose();
+        let mut rows = nalgebra::SMatrix::<f64, 6, 12>::zeros();
+        rows.fixed_view_mut::<6, 6>(0, 0).copy_from(&(-into_first * carried));
+        rows.fixed_view_mut::<6, 6>(0, 6).copy_from(&into_first);
+        let joint = nalgebra::SMatrix::<f64, 12, 12>::from_column_slice(joint.as_slice());
+        Some(symmetric(&(rows * joint * rows.transpose())))
     }
 
     /// Poses at all scans.

@@ -1,0 +1,366 @@
+//! `usar map`: organised scans through segmentation, localisation and mapping.
+
+use super::files::{median, read_scan, write_stdout};
+use crate::export::ply;
+use crate::export::tum::{self, TimedPose};
+use crate::files::replace::replace_file;
+use crate::mapping::{
+    Landmark, Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations,
+    UpdateReport, observations,
+};
+use crate::segmentation::{SegmentationConfig, Segmenter};
+use anyhow::{Context, Result, bail};
+use clap::{Args, ValueEnum};
+use nalgebra::{Isometry3, Matrix6};
+use serde_json::{Value, json};
+use std::fmt::Write as _;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Arguments of `usar map`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  usar map scan_*.pcd --odometry odometry.tum --out run/")]
+pub struct MapArguments {
+    /// Organised scans in order: PCD 0.7 with HEIGHT > 1, points in the sensor's frame
+    #[arg(required = true)]
+    scans: Vec<PathBuf>,
+    /// Odometry poses of the sensor, one TUM line a scan
+    #[arg(long, value_name = "FILE")]
+    odometry: Option<PathBuf>,
+    /// True poses of the sensor, one TUM line a scan: for scoring only
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
+    /// Columns to use, 0-based and half-open
+    #[arg(long, value_name = "A..B", value_parser = super::files::parse_columns)]
+    columns: Option<Range<usize>>,
+    /// Which filter runs
+    #[arg(long, value_enum, default_value_t)]
+    mode: ModeArgument,
+    /// Folder for trajectory.tum, planes.ply, surfaces.json and report.json
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    out: Option<PathBuf>,
+    /// Form of the summary on standard output
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum ModeArgument {
+    /// Landmarks with covariance, loops, several explanations
+    #[default]
+    Full,
+    /// The paper's Maximum Incremental Probability filter
+    Mip,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// A table for people
+    #[default]
+    Text,
+    /// One JSON document
+    Json,
+}
+
+/// What one scan came to.
+struct Step {
+    time_s: f64,
+    planes: usize,
+    report: UpdateReport,
+    segment_ms: f64,
+    map_ms: f64,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+///
+/// A scan or pose file that cannot be used, files of different lengths, an output that cannot be
+/// written.
+pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
+    let odometry = read_poses(arguments.odometry.as_deref(), arguments.scans.len())?;
+    let truth = read_poses(arguments.truth.as_deref(), arguments.scans.len())?;
+    let mut config = MapperConfig::default();
+    config.mode = match arguments.mode {
+        ModeArgument::Full => Mode::Full,
+        ModeArgument::Mip => Mode::Mip,
+    };
+    let start = odometry.as_ref().map_or_else(Isometry3::identity, |poses| poses[0].pose);
+    let mut mapper = Mapper::new(config, start);
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    let mut steps = Vec::new();
+    for (k, path) in arguments.scans.iter().enumerate() {
+        let whole = read_scan(path)?;
+        let grid = match &arguments.columns {
+            Some(columns) if columns.end > whole.columns() => bail!(
+                "{}: --columns {}..{} asked for, {} columns found",
+                path.display(),
+                columns.start,
+                columns.end,
+                whole.columns()
+            ),
+            Some(columns) => whole.columns_only(columns.clone()),
+            None => whole,
+        };
+        if k > 0 {
+            match &odometry {
+                Some(poses) => mapper.predict(&(poses[k - 1].pose.inverse() * poses[k].pose)),
+                None => mapper.predict_with(&Isometry3::identity(), &unknown_motion()),
+            }
+        }
+        let clock = Stopwatch::start();
+        let segmentation = segmenter.segment(&grid);
+        let segment_ms = clock.milliseconds();
+        let clock = Stopwatch::start();
+        let scan = ScanObservations {
+            observations: observations(segmentation, &grid, &Isometry3::identity()),
+            robot_from_scan: Isometry3::identity(),
+            errors: ScanErrors::default(),
+        };
+        let report = mapper.observe(&scan);
+        let map_ms = clock.milliseconds();
+        let time_s = odometry.as_ref().map_or(k as f64, |poses| poses[k].time_s);
+        steps.push(Step { time_s, planes: scan.observations.len(), report, segment_ms, map_ms });
+    }
+    let score = truth.as_ref().map(|truth| Score::new(&mapper, truth));
+    let document = document(&mapper, &steps, score.as_ref());
+    if let Some(folder) = &arguments.out {
+        write_outputs(folder, &mapper, &steps, truth.as_deref(), &document)?;
+    }
+    write_stdout(&match arguments.format {
+        Format::Text => summary(&mapper, &steps, score.as_ref()),
+        Format::Json => serde_json::to_string(&document)? + "\n",
+    })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What is known of a motion that nobody measured: scans that are to be matched lie within a step.
+fn unknown_motion() -> Matrix6<f64> {
+    let (step_m, turn_rad, tilt_rad) = (0.5_f64, 0.25_f64, 0.05_f64);
+    Matrix6::from_diagonal(
+        &nalgebra::Vector6::new(step_m, step_m, 0.1, tilt_rad, tilt_rad, turn_rad)
+            .map(|sigma| sigma * sigma),
+    )
+}
+
+struct Stopwatch(Instant);
+
+impl Stopwatch {
+    #[expect(
+        clippy::disallowed_methods,
+        reason = "the verb measures wall time; the core has no clock"
+    )]
+    fn start() -> Self {
+        Self(Instant::now())
+    }
+
+    fn milliseconds(&self) -> f64 {
+        self.0.elapsed().as_secs_f64() * 1e3
+    }
+}
+
+fn read_poses(path: Option<&Path>, scans: usize) -> Result<Option<Vec<TimedPose>>> {
+    let Some(path) = path else { return Ok(None) };
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let poses = tum::parse(&text).with_context(|| format!("{}", path.display()))?;
+    if poses.len() != scans {
+        bail!("{}: {} poses found, {scans} scans given", path.display(), poses.len());
+    }
+    Ok(Some(poses))
+}
+
+/// Errors of the motions between successive scans against the truth.
+struct Score {
+    translation_m: Vec<f64>,
+    rotation_rad: Vec<f64>,
+    /// Normalised squared errors of the motions, where the filter states their covariance.
+    nees: Vec<f64>,
+    final_m: f64,
+    final_rad: f64,
+}
+
+impl Score {
+    fn new(mapper: &Mapper, truth: &[TimedPose]) -> Self {
+        let poses = mapper.keyframes();
+        let mut score = Self {
+            translation_m: Vec::new(),
+            rotation_rad: Vec::new(),
+            nees: Vec::new(),
+            final_m: 0.0,
+            final_rad: 0.0,
+        };
+        for k in 1..poses.len().min(truth.len()) {
+            let motion = poses[k - 1].inverse() * poses[k];
+            let true_motion = truth[k - 1].pose.inverse() * truth[k].pose;
+            let error = crate::mapping::perturbation::pose_error(&motion, &true_motion);
+            score.translation_m.push(error.fixed_rows::<3>(0).norm());
+            score.rotation_rad.push(error.fixed_rows::<3>(3).norm());
+            let nees = mapper
+                .motion_covariance(k - 1, k)
+                .and_then(|covariance| covariance.cholesky())
+                .map(|cholesky| error.dot(&cholesky.solve(&error)));
+            score.nees.extend(nees);
+        }
+        if let (Some(pose), Some(last)) = (poses.last(), truth.last()) {
+            let travelled = poses[0].inverse() * pose;
+            let true_travelled = truth[0].pose.inverse() * last.pose;
+            let error = travelled.inverse() * true_travelled;
+            score.final_m = error.translation.vector.norm();
+            score.final_rad = error.rotation.angle();
+        }
+        score
+    }
+
+    fn json(&self) -> Value {
+        let mean = self.nees.iter().sum::<f64>() / self.nees.len().max(1) as f64;
+        json!({
+            "rpe_median_m": median(&self.translation_m),
+            "rpe_median_deg": median(&self.rotation_rad).to_degrees(),
+            "rpe_max_m": self.translation_m.iter().copied().fold(0.0, f64::max),
+            "rpe_max_deg": self.rotation_rad.iter().copied().fold(0.0, f64::max).to_degrees(),
+            "final_m": self.final_m,
+            "final_deg": self.final_rad.to_degrees(),
+            "nees_mean": (!self.nees.is_empty()).then_some(mean),
+        })
+    }
+}
+
+fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
+    let scans: Vec<Value> = steps
+        .iter()
+        .map(|step| {
+            let report = &step.report;
+            json!({
+                "time_s": step.time_s,
+                "planes": step.planes,
+                "associations": report.associations.len(),
+                "added": report.added.len(),
+                "refused": report.refused.len(),
+                "nis": report.nis,
+                "nis_degrees": report.nis_degrees,
+                "weak_directions": report.weak_directions.len(),
+                "covariance": rows(&report.covariance),
+                "segment_ms": step.segment_ms,
+                "map_ms": step.map_ms,
+            })
+        })
+        .collect();
+    json!({
+        "scans": scans,
+        "landmarks": mapper.landmarks().len(),
+        "associations": steps.iter().map(|step| step.report.associations.len()).sum::<usize>(),
+        "segment_ms": median(&steps.iter().map(|step| step.segment_ms).collect::<Vec<_>>()),
+        "map_ms": median(&steps.iter().map(|step| step.map_ms).collect::<Vec<_>>()),
+        "pose_error": score.map(Score::json),
+    })
+}
+
+fn rows<const N: usize>(matrix: &nalgebra::SMatrix<f64, N, N>) -> Vec<Vec<f64>> {
+    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
+}
+
+fn landmark_json(landmark: &Landmark) -> Value {
+    let plane = landmark.plane();
+    json!({
+        "id": landmark.id.0,
+        "kind": "plane",
+        "sightings": landmark.sightings,
+        "normal": plane.normal,
+        "offset_m": plane.offset_m,
+        "centroid": landmark.origin(),
+        "hull": landmark.hull_points().collect::<Vec<_>>(),
+        "area_m2": landmark.area_m2(),
+        "mask_area_m2": landmark.mask.area_m2(),
+        "covariance": rows(&landmark.covariance),
+    })
+}
+
+fn write_outputs(
+    folder: &Path,
+    mapper: &Mapper,
+    steps: &[Step],
+    truth: Option<&[TimedPose]>,
+    document: &Value,
+) -> Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let write = |name: &str, bytes: &[u8]| {
+        let path = folder.join(name);
+        replace_file(&path, bytes).with_context(|| format!("cannot write {}", path.display()))
+    };
+    let trajectory: Vec<TimedPose> = mapper
+        .keyframes()
+        .into_iter()
+        .zip(steps)
+        .map(|(pose, step)| TimedPose { time_s: step.time_s, pose })
+        .collect();
+    write("trajectory.tum", tum::format(&trajectory).as_bytes())?;
+    if let Some(truth) = truth {
+        write("truth.tum", tum::format(truth).as_bytes())?;
+    }
+    let polygons: Vec<ply::Polygon> = mapper.landmarks().iter().map(polygon).collect();
+    write("planes.ply", ply::format(&polygons).as_bytes())?;
+    let surfaces: Vec<Value> = mapper.landmarks().iter().map(landmark_json).collect();
+    let surfaces = json!({ "surfaces": surfaces });
+    write("surfaces.json", serde_json::to_string_pretty(&surfaces)?.as_bytes())?;
+    write("report.json", serde_json::to_string_pretty(document)?.as_bytes())
+}
+
+fn polygon(landmark: &Landmark) -> ply::Polygon {
+    let colour = crate::export::map_scene::surface_colour(&landmark.normal(), landmark.origin().z);
+    ply::Polygon {
+        vertices: landmark.hull_points().collect(),
+        colour: [colour.red, colour.green, colour.blue],
+    }
+}
+
+fn summary(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> String {
+    let mut text = format!(
+        "{:>4} {:>7} {:>7} {:>6} {:>8} {:>9} {:>11} {:>8}  pose x, y, z (m), heading\n",
+        "scan", "planes", "paired", "added", "refused", "NIS/dof", "segment ms", "map ms"
+    );
+    for (k, step) in steps.iter().enumerate() {
+        let report = &step.report;
+        let t = report.world_from_robot.translation.vector;
+        let heading = report.world_from_robot.rotation.euler_angles().2.to_degrees();
+        let _ = write!(
+            text,
+            "{k:>4} {:>7} {:>7} {:>6} {:>8} {:>9.2} {:>11.2} {:>8.2}  {:.3} {:.3} {:.3} {heading:.2}°",
+            step.planes,
+            report.associations.len(),
+            report.added.len(),
+            report.refused.len(),
+            report.nis / report.nis_degrees.max(1) as f64,
+            step.segment_ms,
+            step.map_ms,
+            t.x,
+            t.y,
+            t.z,
+        );
+        for refusal in &report.refused {
+            let reason = match refusal.reason {
+                RefusalReason::FailedRetest(d) => format!("failed after the update ({d:.1})"),
+                RefusalReason::Ambiguous => "ambiguous".to_owned(),
+                RefusalReason::Doubtful(d) => format!("doubtful ({d:.1})"),
+            };
+            let _ = write!(text, "; {} {reason}", refusal.observation);
+        }
+        text.push('\n');
+    }
+    let _ = writeln!(text, "{} landmarks", mapper.landmarks().len());
+    if let Some(score) = score {
+        let nees = score.nees.iter().sum::<f64>() / score.nees.len().max(1) as f64;
+        let _ = writeln!(
+            text,
+            "motion error median {:.2} mm {:.4}°, NEES {nees:.2} (6 expected); final error {:.2} mm {:.4}°",
+            1e3 * median(&score.translation_m),
+            median(&score.rotation_rad).to_degrees(),
+            1e3 * score.final_m,
+            score.final_rad.to_degrees()
+        );
+    }
+    text
+}
