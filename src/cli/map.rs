@@ -1,12 +1,13 @@
 //! `usar map`: organised scans through segmentation, localisation and mapping.
 
 use super::files::{median, read_scan, write_stdout};
+use crate::export::landmarks::{landmark_json, landmark_polygon, rows};
 use crate::export::ply;
 use crate::export::tum::{self, TimedPose};
 use crate::files::replace::replace_file;
 use crate::mapping::{
-    Landmark, Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations,
-    UpdateReport, observations,
+    Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations, UpdateReport,
+    observations,
 };
 use crate::segmentation::{SegmentationConfig, Segmenter};
 use anyhow::{Context, Result, bail};
@@ -258,26 +259,6 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
     })
 }
 
-fn rows<const N: usize>(matrix: &nalgebra::SMatrix<f64, N, N>) -> Vec<Vec<f64>> {
-    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
-}
-
-fn landmark_json(landmark: &Landmark) -> Value {
-    let plane = landmark.plane();
-    json!({
-        "id": landmark.id.0,
-        "kind": "plane",
-        "sightings": landmark.sightings,
-        "normal": plane.normal,
-        "offset_m": plane.offset_m,
-        "centroid": landmark.origin(),
-        "hull": landmark.hull_points().collect::<Vec<_>>(),
-        "area_m2": landmark.area_m2(),
-        "mask_area_m2": landmark.mask.area_m2(),
-        "covariance": rows(&landmark.covariance),
-    })
-}
-
 fn write_outputs(
     folder: &Path,
     mapper: &Mapper,
@@ -301,20 +282,12 @@ fn write_outputs(
     if let Some(truth) = truth {
         write("truth.tum", tum::format(truth).as_bytes())?;
     }
-    let polygons: Vec<ply::Polygon> = mapper.landmarks().iter().map(polygon).collect();
+    let polygons: Vec<ply::Polygon> = mapper.landmarks().iter().map(landmark_polygon).collect();
     write("planes.ply", ply::format(&polygons).as_bytes())?;
     let surfaces: Vec<Value> = mapper.landmarks().iter().map(landmark_json).collect();
     let surfaces = json!({ "surfaces": surfaces });
     write("surfaces.json", serde_json::to_string_pretty(&surfaces)?.as_bytes())?;
     write("report.json", serde_json::to_string_pretty(document)?.as_bytes())
-}
-
-fn polygon(landmark: &Landmark) -> ply::Polygon {
-    let colour = crate::export::map_scene::surface_colour(&landmark.normal(), landmark.origin().z);
-    ply::Polygon {
-        vertices: landmark.hull_points().collect(),
-        colour: [colour.red, colour.green, colour.blue],
-    }
 }
 
 fn summary(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> String {

@@ -4,6 +4,7 @@ use super::operator::Mode;
 use crate::acquisition::AcquisitionConfig;
 use crate::exploration::ExploreConfig;
 use crate::navigation::{FollowConfig, GuardConfig, PlanConfig, RecoveryConfig, StuckConfig};
+use crate::victims::VictimConfig;
 use serde::{Deserialize, Serialize};
 
 /// Everything an agent runs with: `--config` files and `[agent]` of a scenario override parts of it.
@@ -30,6 +31,8 @@ pub struct AgentConfig {
     pub stuck: StuckConfig,
     /// Getting out of it.
     pub recovery: RecoveryConfig,
+    /// Telling victims from false alarms.
+    pub victims: VictimConfig,
 }
 
 /// The mission as a whole.

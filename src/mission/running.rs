@@ -16,7 +16,7 @@ use crate::robot::{BodySpeed, HeadPose, HeadReading, InsReading, OdometryReading
 use crate::scan::LaserLine;
 use crate::terrain::{Grid, RobotShape};
 use crate::time::{Arrival, Span, Stamp};
-use crate::victims::Candidates;
+use crate::victims::{Candidate, Candidates, VictimConfig};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -98,6 +98,7 @@ pub struct Running {
     pub(super) lease: DriveLease,
     pub(super) ledger: Ledger,
     pub(super) candidates: Candidates,
+    victim_config: VictimConfig,
     pub(super) frontiers_left: Vec<FrontierLeft>,
     pub(super) bridged: bool,
     pub(super) finest_here: bool,
@@ -152,6 +153,7 @@ impl Running {
             lease: DriveLease::default(),
             ledger: Ledger::default(),
             candidates: Candidates::default(),
+            victim_config: config.victims,
             frontiers_left: Vec::new(),
             bridged: false,
             finest_here: false,
@@ -205,6 +207,31 @@ impl Running {
     /// What the belief is.
     pub fn belief(&self) -> &Belief {
         &self.belief
+    }
+
+    /// The account of the mission.
+    pub fn ledger(&self) -> &Ledger {
+        &self.ledger
+    }
+
+    /// Frontiers that stayed when nothing was left to explore.
+    pub fn frontiers_left(&self) -> &[FrontierLeft] {
+        &self.frontiers_left
+    }
+
+    /// The robot as the terrain sees it.
+    pub fn shape(&self) -> &RobotShape {
+        &self.shape
+    }
+
+    /// The rig.
+    pub fn rig(&self) -> &Rig {
+        &self.rig
+    }
+
+    /// Victim candidates with the evidence of a person.
+    pub fn victims(&self) -> impl Iterator<Item = &Candidate> {
+        self.candidates.confirmed(&self.victim_config)
     }
 
     /// Takes in a message. Gives what it means for the mission.

@@ -1,0 +1,192 @@
+//! The run folder: everything that a mission leaves behind.
+
+use super::coverage::Evidence;
+use super::landmarks::{landmark_json, landmark_polygon};
+use super::map_picture::{self, Overlay};
+use super::map_server::{Cell, TrinaryMap};
+use super::report::{
+    FrontierLeft, PhaseReport, Report, SurfaceCounts, SweepReport, TimeSplit, VictimCounts,
+};
+use super::tum::{self, TimedPose};
+use super::{map3d, ply};
+use crate::mission::{Agent, Belief, Running};
+use crate::terrain::{Grid, Trinary};
+use nalgebra::{Isometry3, Vector3};
+use serde_json::json;
+
+/// Files by name, in the order in which they are to be written.
+pub type Files = Vec<(&'static str, Vec<u8>)>;
+
+/// The part of the report that the agent itself knows.
+pub fn agent_report(agent: &Agent, scenario: &str, seed: u64) -> Report {
+    let mission_time_s = agent.mission_time().seconds();
+    let mut report = Report {
+        scenario: scenario.to_owned(),
+        seed,
+        outcome: agent.outcome().map_or("running", |outcome| outcome.word()).to_owned(),
+        mission_time_s,
+        operator_acts: agent.operator_acts(),
+        autonomy_fraction: if mission_time_s > 0.0 {
+            1.0 - agent.leased().seconds() / mission_time_s
+        } else {
+            1.0
+        },
+        warnings: agent.warnings().to_vec(),
+        phases: vec![PhaseReport { name: "mission".into(), from_s: 0.0, to_s: mission_time_s }],
+        ..Report::default()
+    };
+    let Some(running) = agent.running() else { return report };
+    let ledger = running.ledger();
+    report.time_split_s = TimeSplit {
+        scan: ledger.split.scan_s,
+        drive: ledger.split.drive_s,
+        turn: ledger.split.turn_s,
+        think: ledger.split.think_s,
+        recover: ledger.split.recover_s,
+    };
+    report.sweeps = ledger
+        .sweeps
+        .iter()
+        .map(|sweep| SweepReport {
+            profile: sweep.profile.clone(),
+            rows: sweep.rows,
+            seconds: sweep.seconds,
+        })
+        .collect();
+    let [planes, spheres, cylinders] = ledger.surfaces;
+    report.surfaces = SurfaceCounts { planes, spheres, cylinders };
+    report.landmarks = running.belief().mapper().landmarks().len();
+    report.associations = ledger.associations;
+    report.stuck = ledger.troubles;
+    report.distance_m = running.belief().path_m();
+    report.victims = VictimCounts::default();
+    report.frontiers_left = running
+        .frontiers_left()
+        .iter()
+        .map(|left| FrontierLeft { x: left.x, y: left.y, reason: left.reason.clone() })
+        .collect();
+    report
+}
+
+/// Trajectory, maps and pictures of a mission.
+pub fn map_files(agent: &Agent, title: &str) -> Files {
+    let Some(running) = agent.running() else { return Files::new() };
+    let belief = running.belief();
+    let grid = belief.grid();
+    let poses: Vec<TimedPose> = belief
+        .trajectory()
+        .into_iter()
+        .map(|(stamp, pose)| TimedPose { time_s: stamp.seconds(), pose })
+        .collect();
+    let path: Vec<Isometry3<f64>> = poses.iter().map(|timed| timed.pose).collect();
+    let overlay = overlay(running, title, &path);
+    let landmarks = belief.mapper().landmarks();
+    let polygons: Vec<ply::Polygon> = landmarks.iter().map(landmark_polygon).collect();
+    let surfaces: Vec<_> = landmarks.iter().map(landmark_json).collect();
+    let surfaces = serde_json::to_vec_pretty(&json!({ "surfaces": surfaces }))
+        .expect("numbers and strings are always JSON");
+    let shape = running.shape();
+    let size = Vector3::new(shape.length_m, shape.width_m, shape.height_m);
+    let trinary = trinary_map(&grid);
+    vec![
+        ("trajectory.tum", tum::format(&poses).into_bytes()),
+        ("map.pgm", trinary.pgm()),
+        ("map.yaml", trinary.yaml("map.pgm").into_bytes()),
+        ("ground.png", ground_png(&grid, belief)),
+        ("planes.ply", ply::format(&polygons).into_bytes()),
+        ("surfaces.json", surfaces),
+        ("map.png", map_picture::draw(&grid, &overlay).to_png()),
+        ("map3d.png", map3d::draw(landmarks, &grid, &path, &size).to_png()),
+    ]
+}
+
+fn overlay(running: &Running, title: &str, path: &[Isometry3<f64>]) -> Overlay {
+    Overlay {
+        title: title.to_owned(),
+        trajectory: path.to_vec(),
+        victims: running
+            .victims()
+            .map(|victim| (victim.place.xy(), format!("{} parts", victim.parts.len())))
+            .collect(),
+        frontiers: running
+            .frontiers_left()
+            .iter()
+            .map(|left| nalgebra::Point2::new(left.x, left.y))
+            .collect(),
+        sweeps: running
+            .belief()
+            .mapper()
+            .keyframes()
+            .iter()
+            .map(|pose| pose.translation.vector.xy().into())
+            .collect(),
+    }
+}
+
+/// The grid as the common map formats have it.
+pub fn trinary_map(grid: &Grid) -> TrinaryMap {
+    let cell_m = grid.cell_m();
+    let low = grid.low();
+    TrinaryMap {
+        width: grid.width(),
+        height: grid.height(),
+        resolution_m: cell_m,
+        origin_m: [f64::from(low.x) * cell_m, f64::from(low.y) * cell_m],
+        cells: grid
+            .trinary()
+            .map(|cell| match cell {
+                Trinary::Free => Cell::Free,
+                Trinary::Occupied => Cell::Occupied,
+                Trinary::Unknown => Cell::Unknown,
+            })
+            .collect(),
+    }
+}
+
+/// What coverage counts by, from the agent's own map.
+pub fn evidence(grid: &Grid, belief: &Belief) -> Evidence {
+    let cell_m = grid.cell_m();
+    let low = grid.low();
+    let mut ground_m = vec![f32::NAN; grid.cells().len()];
+    for (cell, height) in belief.terrain().measured_ground() {
+        if let Some(index) = grid.index(cell) {
+            ground_m[index] = height as f32;
+        }
+    }
+    Evidence {
+        cell_m,
+        origin_m: [f64::from(low.x) * cell_m, f64::from(low.y) * cell_m],
+        width: grid.width(),
+        known: grid.trinary().map(|cell| cell != Trinary::Unknown).collect(),
+        ground_m,
+    }
+}
+
+/// Zero of the heights in `ground.png`.
+const GROUND_ZERO: f64 = 32_768.0;
+/// Steps of those heights per metre.
+const GROUND_STEPS: f64 = 200.0;
+
+/// `ground.png`: 16 bit, of `map.pgm`'s size and orientation. 0 where no ground was measured from at
+/// most 8 m; else its height, (value - 32768) / 200 m.
+fn ground_png(grid: &Grid, belief: &Belief) -> Vec<u8> {
+    let evidence = evidence(grid, belief);
+    let mut samples = Vec::with_capacity(2 * evidence.ground_m.len());
+    for row in evidence.ground_m.chunks(evidence.width.max(1)).rev() {
+        for height in row {
+            let value = if height.is_nan() {
+                0
+            } else {
+                (GROUND_ZERO + GROUND_STEPS * f64::from(*height)).clamp(1.0, 65_535.0) as u16
+            };
+            samples.extend_from_slice(&value.to_be_bytes());
+        }
+    }
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, grid.width() as u32, grid.height() as u32);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Sixteen);
+    let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&samples));
+    written.expect("a picture of this size always fits into memory");
+    bytes
+}
