@@ -2,3 +2,4 @@
 
 pub mod pcd;
 pub mod replace;
+pub mod world;
