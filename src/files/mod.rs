@@ -4,3 +4,4 @@ pub mod agent_config;
 pub mod pcd;
 pub mod replace;
 pub mod scenario;
+pub mod world;

@@ -1,6 +1,6 @@
 //! The robots that can be spawned, as `maps/robots.toml` describes them.
 
-use super::map_file::{Check, SpecError};
+use super::file_check::{Check, SpecError, read_toml};
 use super::solid::Solid;
 use super::spec::{Layout, PanTiltSpec, PartSpec, SensorSpec, WheelSpec};
 use super::world::placed;
@@ -59,8 +59,7 @@ pub struct WireFacts {
 impl RobotCatalogue {
     /// Reads the text of `robots.toml`; reports every violation at once.
     pub fn parse(text: &str) -> Result<Self, SpecError> {
-        let catalogue: Self =
-            toml::from_str(text).map_err(|error| SpecError::Parse(error.to_string()))?;
+        let catalogue: Self = read_toml(text)?;
         let mut check = Check::default();
         for robot in &catalogue.robots {
             robot.check(&mut check);

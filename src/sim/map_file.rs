@@ -2,78 +2,9 @@
 //!
 //! Metres, x forward, y left, z up, angles in degrees. A wire pose is (x, -y, -z).
 
+use super::file_check::{Check, SpecError, read_toml};
 use super::victim::{BodyPart, Posture};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
-use std::fmt;
-
-/// Why a map, scenario or robot file was refused.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum SpecError {
-    /// Not the expected TOML: a syntax error, an unknown key, a value of another type.
-    #[error("{0}")]
-    Parse(String),
-    /// Values outside their ranges or names that contradict each other, all of them.
-    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
-    Invalid(Vec<Violation>),
-}
-
-/// One thing that is wrong in a file: where, and what was expected and found.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Violation {
-    /// The key or item, such as `box "platform" size`.
-    pub place: String,
-    /// What was expected and what was found.
-    pub reason: String,
-}
-
-impl fmt::Display for Violation {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: {}", self.place, self.reason)
-    }
-}
-
-/// Collects violations instead of stopping at the first.
-#[derive(Debug, Default)]
-pub(crate) struct Check(Vec<Violation>);
-
-impl Check {
-    pub(crate) fn that(
-        &mut self,
-        holds: bool,
-        place: impl fmt::Display,
-        reason: impl fmt::Display,
-    ) {
-        if !holds {
-            self.0.push(Violation { place: place.to_string(), reason: reason.to_string() });
-        }
-    }
-
-    pub(crate) fn finite(&mut self, values: &[f64], place: impl fmt::Display) {
-        let bad = values.iter().find(|value| !value.is_finite());
-        self.that(bad.is_none(), place, format_args!("expected finite numbers, found {bad:?}"));
-    }
-
-    pub(crate) fn positive(&mut self, values: &[f64], place: impl fmt::Display) {
-        let bad = values.iter().find(|value| !(value.is_finite() && **value > 0.0));
-        self.that(bad.is_none(), place, format_args!("expected positive numbers, found {bad:?}"));
-    }
-
-    pub(crate) fn unique<'a>(&mut self, names: impl Iterator<Item = &'a str>, what: &str) {
-        let mut seen = BTreeSet::new();
-        for name in names.filter(|name| !name.is_empty()) {
-            self.that(
-                seen.insert(name.to_ascii_lowercase()),
-                format_args!("{what} {name:?}"),
-                "expected a name of its own, found a second one",
-            );
-        }
-    }
-
-    pub(crate) fn finish<T>(self, value: T) -> Result<T, SpecError> {
-        if self.0.is_empty() { Ok(value) } else { Err(SpecError::Invalid(self.0)) }
-    }
-}
 
 /// A map as written, checked by [`MapFile::parse`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -292,8 +223,7 @@ fn default_scale() -> f64 {
 impl MapFile {
     /// Reads a map file's text; reports every violation at once.
     pub fn parse(text: &str) -> Result<Self, SpecError> {
-        let mut map: Self =
-            toml::from_str(text).map_err(|error| SpecError::Parse(error.to_string()))?;
+        let mut map: Self = read_toml(text)?;
         map.name_the_nameless();
         let mut check = Check::default();
         map.check(&mut check);
@@ -451,10 +381,10 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_key_is_an_error_that_names_its_line() {
+    fn an_unknown_key_is_an_error_that_names_its_line_and_the_nearest_key() {
         let text = format!("{HEAD}[[box]]\ncentre = [0.0, 0.0, 0.0]\nsize = [1.0, 1.0, 1.0]\n");
-        let Err(SpecError::Parse(message)) = MapFile::parse(&text) else { panic!("a parse error") };
-        assert!(message.contains("line 4") && message.contains("centre"), "{message}");
+        let error = MapFile::parse(&text).unwrap_err();
+        assert_eq!(error.to_string(), "line 4: unknown key `centre`; the nearest one is `center`");
     }
 
     #[test]

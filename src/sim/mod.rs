@@ -4,6 +4,7 @@
 //! simulator that used the estimator's code would agree with its mistakes.
 
 mod catalogue;
+mod file_check;
 mod glam;
 mod map_file;
 mod mesh;
@@ -23,9 +24,10 @@ mod wire;
 mod world;
 
 pub use catalogue::{RobotCatalogue, RobotClass, WireFacts};
+pub use file_check::{SpecError, Violation};
 pub use map_file::{
-    BoxSpec, CylinderSpec, FalseAlarmSpec, MapFile, MeshSpec, PortalSpec, SpecError, SphereSpec,
-    StartSpec, TagSpec, VictimSpec, VictimStatus, Violation,
+    BoxSpec, CylinderSpec, FalseAlarmSpec, MapFile, MeshSpec, PortalSpec, SphereSpec, StartSpec,
+    TagSpec, VictimSpec, VictimStatus,
 };
 pub use mesh::{MeshError, MeshObject, read_mesh};
 pub use noise::Noise;

@@ -1,7 +1,7 @@
 //! Scenario files: which world, which robots, how long, how noisy, and what goes wrong.
 
 use super::catalogue::{RobotCatalogue, RobotClass};
-use super::map_file::{Check, SpecError};
+use super::file_check::{Check, SpecError, read_toml};
 use super::spec::{PanTiltSpec, SensorSpec, wire_name};
 use super::vehicle::Motion;
 use super::world::World;
@@ -236,8 +236,7 @@ fn yes() -> bool {
 impl Scenario {
     /// Reads a scenario file's text; reports every violation at once.
     pub fn parse(text: &str) -> Result<Self, SpecError> {
-        let scenario: Self =
-            toml::from_str(text).map_err(|error| SpecError::Parse(error.to_string()))?;
+        let scenario: Self = read_toml(text)?;
         let mut check = Check::default();
         scenario.check(&mut check);
         check.finish(scenario)

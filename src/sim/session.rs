@@ -40,7 +40,7 @@ mod tests;
 pub use connection::ConnectionId;
 
 use super::catalogue::{RobotCatalogue, RobotClass};
-use super::map_file::SpecError;
+use super::file_check::SpecError;
 use super::noise::Noise;
 use super::physics::{Physics, RobotKey, STEP_NANOS};
 use super::scenario::Scenario;

@@ -3,7 +3,7 @@
 //! The same structs stand in `maps/robots.toml` and in scenario files, where keys that are left out
 //! come from the robot's class. Core frame: x forward, y left, z up, from the robot's origin.
 
-use super::map_file::Check;
+use super::file_check::Check;
 use serde::{Deserialize, Serialize};
 
 /// A box that belongs to a robot's body: seen by others' sensors, felt in contacts.

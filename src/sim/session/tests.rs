@@ -3,6 +3,7 @@ use crate::protocol::message::Sen;
 use crate::protocol::{Framed, LineSplitter, parse};
 use crate::sim::map_file::MapFile;
 
+mod station;
 mod ut2004;
 
 /// A client of a session with the lines it has read.
