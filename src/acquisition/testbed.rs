@@ -146,6 +146,27 @@ pub fn head(limits: Option<AngleSpan>, speed_rad_s: Option<f64>) -> ScanHead {
     })
 }
 
+/// A line of the room under `pose`, its ranges scaled by `scale`.
+pub fn line_at(world: &World, head: &ScanHead, pose: HeadPose, scale: f64) -> LaserLine {
+    let sensor = head.robot_from_device(pose);
+    let step = PI / (BEAMS - 1) as f64;
+    let ranges_m = (0..BEAMS)
+        .map(|beam| {
+            let (sin, cos) = (-FRAC_PI_2 + beam as f64 * step).sin_cos();
+            let direction = sensor.rotation * Vector3::new(cos, sin, 0.0);
+            (world.range(&sensor.translation.vector.into(), &direction) * scale).min(20.0)
+        })
+        .collect();
+    LaserLine {
+        stamp: Stamp(0),
+        first_bearing_rad: -FRAC_PI_2,
+        bearing_step_rad: step,
+        min_range_m: 0.1,
+        max_range_m: 20.0,
+        ranges_m,
+    }
+}
+
 /// When a server's first message is stamped.
 const EPOCH_S: f64 = 5085.0;
 const STEP_S: f64 = 0.0025;
@@ -335,26 +356,15 @@ impl Testbed {
     }
 
     fn cast_line(&mut self) -> LaserLine {
-        let head = head(None, None);
-        let sensor = head.robot_from_device(HeadPose::tilted(self.tilt.angle_rad));
-        let step = PI / (BEAMS - 1) as f64;
-        let ranges_m = (0..BEAMS)
-            .map(|beam| {
-                let (sin, cos) = (-FRAC_PI_2 + beam as f64 * step).sin_cos();
-                let direction = sensor.rotation * Vector3::new(cos, sin, 0.0);
-                let range = self.world.range(&sensor.translation.vector.into(), &direction);
-                let noise = 1.0 + (2.0 * self.uniform() - 1.0) * self.behaviour.range_noise;
-                (range * noise).min(20.0)
-            })
-            .collect();
-        LaserLine {
-            stamp: Stamp(0),
-            first_bearing_rad: -FRAC_PI_2,
-            bearing_step_rad: step,
-            min_range_m: 0.1,
-            max_range_m: 20.0,
-            ranges_m,
+        let pose = HeadPose::tilted(self.tilt.angle_rad);
+        let mut line = line_at(&self.world, &head(None, None), pose, 1.0);
+        for range in &mut line.ranges_m {
+            let noise = 1.0
+                + (2.0 * ((self.rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64) - 1.0)
+                    * self.behaviour.range_noise;
+            *range = (*range * noise).min(20.0);
         }
+        line
     }
 
     /// Error of each filed row against the true tilt at the casting of its line, in degrees.
