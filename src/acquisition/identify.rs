@@ -66,8 +66,15 @@ pub fn identify(
     let hinges = [1.0, 0.4, 2.5, 8.0].map(|f| [(prior_speed * f).ln(), HINGE_GAP_RAD.ln(), 0.03]);
     let springs = [[2.0, 0.0, 0.03], [2.7, -0.7, 0.03], [3.4, 0.0, 0.03], [2.7, 0.7, 0.03]];
     let best = |starts: [[f64; 3]; 4], law_of: fn(&[f64; 3]) -> ServoLaw| {
+        // The valley of the true noise is narrow and curved: the search begins with a noise that
+        // widens it, and sharpens.
+        let search = |start: [f64; 3]| {
+            [24.0, 6.0, 1.0, 1.0].into_iter().fold((start, f64::INFINITY), |(x, _), widening| {
+                minimise(x, |x| case.cost(law_of(x), x[2], widening))
+            })
+        };
         starts
-            .map(|start| minimise(start, |x| case.cost(law_of(x), x[2])))
+            .map(search)
             .into_iter()
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .map(|(x, cost)| (law_of(&x), x[2], cost))
@@ -89,7 +96,7 @@ pub fn lag_of(
     let case = Case { start_rad, limits, commands, observations };
     let delay_s = fit.delay.seconds();
     // A later cast looks like an earlier command.
-    let cost = |lag_s: f64| case.cost(fit.law, delay_s - lag_s);
+    let cost = |lag_s: f64| case.cost(fit.law, delay_s - lag_s, 1.0);
     let grid = (-20..=80).map(|i| 0.005 * f64::from(i));
     let coarse = grid.min_by(|a, b| cost(*a).total_cmp(&cost(*b)))?;
     let ([lag_s, ..], _) = minimise([coarse, 0.0, 0.0], |x| cost(x[0]));
@@ -128,15 +135,16 @@ impl Case<'_> {
         track
     }
 
-    /// Mean squared residual in deviations, cut.
-    fn cost(&self, law: ServoLaw, delay_s: f64) -> f64 {
+    /// Mean squared residual in deviations, `widening` times the true ones, cut.
+    fn cost(&self, law: ServoLaw, delay_s: f64, widening: f64) -> f64 {
         let track = self.track(law, delay_s);
         let sum: f64 = self
             .observations
             .iter()
             .map(|seen| {
                 let estimate = track.estimate(seen.stamp).map_or(f64::MAX, |e| e.angle_rad);
-                let residual = (estimate - seen.angle_rad) / seen.sigma_rad.max(FLOOR_RAD);
+                let sigma = widening * seen.sigma_rad.max(FLOOR_RAD);
+                let residual = (estimate - seen.angle_rad) / sigma;
                 // Beyond the cut the cost still grows a little, so that a search far off finds home.
                 let square = residual * residual;
                 if square > CUT * CUT { CUT * CUT + (square / (CUT * CUT)).ln() } else { square }
@@ -191,6 +199,9 @@ fn minimise(start: [f64; 3], cost: impl Fn(&[f64; 3]) -> f64) -> ([f64; 3], f64)
         // A stable sort: of equal costs the older corner stays ahead.
         simplex.sort_by(|a, b| a.1.total_cmp(&b.1));
         let worst = simplex[3];
+        if worst.1 - simplex[0].1 <= 1e-7 * (1e-3 + simplex[0].1) {
+            break;
+        }
         let centre: [f64; 3] =
             std::array::from_fn(|i| simplex[..3].iter().map(|c| c.0[i]).sum::<f64>() / 3.0);
         let towards = |scale: f64| {
@@ -235,11 +246,11 @@ mod tests {
         delay_s: f64,
         lag_s: f64,
     ) -> (Vec<(Stamp, Demand)>, Vec<Observation>) {
-        let mut commands = vec![(s(1.0), Demand::Angle(0.14)), (s(2.8), Demand::Angle(0.0))];
+        let mut commands = vec![(s(1.0), Demand::Angle(0.14)), (s(2.87), Demand::Angle(0.0))];
         commands.extend(
             (0..8).map(|i| (s(4.6 + 0.2 * f64::from(i)), Demand::Angle(0.0044 * f64::from(i + 1)))),
         );
-        commands.push((s(6.8), Demand::Angle(0.14)));
+        commands.push((s(6.93), Demand::Angle(0.14)));
         let mut track = AxisTrack::new(Some(law), None, 0.0);
         for &(stamp, demand) in &commands {
             track.demand(stamp + Span::from_seconds(delay_s), demand);

@@ -3,7 +3,9 @@
 //! Written apart from the stand-in simulator on purpose: it knows only what the tests of this module
 //! need, and it can be told to misbehave.
 
-use super::{Acquisition, HeadAction, HeadCommand, HeadEvent, Scan, ServoLaw, ServoState};
+use super::{
+    Acquisition, CalibrationReport, HeadAction, HeadCommand, HeadEvent, Scan, ServoLaw, ServoState,
+};
 use crate::geometry::AngleSpan;
 use crate::robot::{Demand, HeadPose, HeadReading, Joint, JointAngle, JointKind, Mount, ScanHead};
 use crate::scan::LaserLine;
@@ -89,6 +91,8 @@ pub struct Testbed {
     pub truth: Vec<(Stamp, f64)>,
     lines: u64,
     pub world: World,
+    /// Reports of calibrations.
+    pub calibrations: Vec<CalibrationReport>,
 }
 
 #[derive(Clone, Debug)]
@@ -191,6 +195,7 @@ impl Testbed {
             truth: Vec::new(),
             lines: 0,
             world: World::default(),
+            calibrations: Vec::new(),
         }
     }
 
@@ -216,6 +221,19 @@ impl Testbed {
         None
     }
 
+    /// Runs until something holds, or for `limit_s`.
+    pub fn run_until(
+        &mut self,
+        acquisition: &mut Acquisition,
+        limit_s: f64,
+        holds: impl Fn(&Self) -> bool,
+    ) {
+        let end = self.now_s + limit_s;
+        while self.now_s < end && !holds(self) {
+            self.run(acquisition, 0.05);
+        }
+    }
+
     /// Puts commands of an action list on their way; hands back a scan if one is finished.
     pub fn take(&mut self, actions: Vec<HeadAction>) -> Option<Scan> {
         let mut finished = None;
@@ -227,6 +245,7 @@ impl Testbed {
                     self.pending.push(((arrives / frame).ceil() * frame, command));
                 }
                 HeadAction::Finished(scan) => finished = Some(*scan),
+                HeadAction::Calibrated(report) => self.calibrations.push(*report),
                 HeadAction::Filed { .. } => {}
             }
         }
@@ -270,6 +289,10 @@ impl Testbed {
         let stuck = self.faults.tilt_sticks_at_s.is_some_and(|at| self.now_s >= at);
         if !stuck {
             self.tilt = self.behaviour.law.advance(self.tilt, self.demand, STEP_S);
+            let limits = self.faults.true_limits.or(self.behaviour.limits);
+            if let Some(limits) = limits.filter(|limits| !limits.contains(self.tilt.angle_rad)) {
+                self.tilt = ServoState::at_rest(limits.clamp(self.tilt.angle_rad));
+            }
         }
         if self.cast.as_ref().is_some_and(|(at, line)| line.is_none() && *at <= self.now_s) {
             let line = self.cast_line();
