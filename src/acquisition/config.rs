@@ -22,6 +22,9 @@ pub struct AcquisitionConfig {
     pub row_timeout_s: f64,
     /// Rows lost one after the other that end a sweep, at least 1.
     pub give_up_rows: u32,
+    /// Tilt error that overlapped motion may cause, in degrees, in (0, 1]: the tilt is slowed to where
+    /// the uncertainty of the times allows no more.
+    pub flow_sigma_deg: f64,
     /// The exploration fan.
     pub fan: FanConfig,
     /// The guard line between sweeps.
@@ -37,6 +40,7 @@ impl Default for AcquisitionConfig {
             unknown_settle_s: 1.5,
             row_timeout_s: 1.5,
             give_up_rows: 3,
+            flow_sigma_deg: 0.07,
             fan: FanConfig::default(),
             guard: GuardConfig::default(),
         }
@@ -69,6 +73,7 @@ impl AcquisitionConfig {
             self.coarse_tolerance_deg,
             "in (0, 1]",
         );
+        check(in_degrees(self.flow_sigma_deg), "flow_sigma_deg", self.flow_sigma_deg, "in (0, 1]");
         check(
             (0.0..=5.0).contains(&self.command_latency_s),
             "command_latency_s",

@@ -1,5 +1,6 @@
 use super::clock::{ClockStep, StampClock};
 use super::config::AcquisitionConfig;
+use super::identify::ServoFit;
 use super::servo::ServoLaw;
 use super::track::{AxisReading, AxisTrack};
 use super::{HeadCommand, HeadEvent};
@@ -26,11 +27,27 @@ pub struct HeadControl {
     pub(super) pan: AxisTrack,
     /// When lines come, and how many beams they have.
     pub(super) rhythm: LineRhythm,
+    /// The law by which the tilt rests for certain: as told by CONF, or as found and then derated.
+    tilt_proof: Option<ServoLaw>,
+    pan_proof: Option<ServoLaw>,
     latency: Span,
-    /// Typical time from the clock's lower bound at sending until a command is in force.
-    pub(super) command_delay: Span,
-    /// Typical time from a line's stamp to the casting of its rays.
-    pub(super) line_lag: Span,
+    /// Times found by calibration, or supposed.
+    pub(super) timing: Timing,
+}
+
+/// Small times between commands, stamps and rays.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Timing {
+    /// From the clock's lower bound at sending until a command is in force.
+    pub command_delay: Span,
+    /// From a line's stamp to the casting of its rays.
+    pub line_lag: Span,
+    /// Standard deviation of a line's time against the tilt's.
+    pub sigma: Span,
+    /// Standard deviation of what the servo law predicts at rest, in radians.
+    pub model_sigma_rad: f64,
+    /// Whether a calibration found them.
+    pub calibrated: bool,
 }
 
 /// UT2004 stamps scanner lines with the time of the burst before, so a clock that hears nothing else
@@ -50,16 +67,24 @@ impl HeadControl {
             AxisTrack::new(law, axis.and_then(|a| a.limits), 0.0)
         };
         let latency = config.command_latency();
+        let (tilt, pan) = (track(head.tilt()), track(head.pan()));
         Self {
             head: head.clone(),
             clock: StampClock::new(),
             scanner_clock: StampClock::new(),
-            tilt: track(head.tilt()),
-            pan: track(head.pan()),
+            tilt_proof: tilt.law(),
+            pan_proof: pan.law(),
+            tilt,
+            pan,
             rhythm: LineRhythm::default(),
             latency,
-            command_delay: Span::from_seconds(0.5 * latency.seconds()),
-            line_lag: Span::ZERO,
+            timing: Timing {
+                command_delay: Span::from_seconds(0.5 * latency.seconds()),
+                line_lag: Span::ZERO,
+                sigma: Span::from_millis(60),
+                model_sigma_rad: 0.002,
+                calibrated: false,
+            },
         }
     }
 
@@ -116,6 +141,61 @@ impl HeadControl {
         self.clock().in_force_by(now, self.latency)
     }
 
+    /// How long the tilt needs to rest within `tolerance_rad` of `target_rad` if told so by a command in
+    /// force at `in_force`; `None` if its law is unknown.
+    pub(super) fn tilt_settles(
+        &self,
+        target_rad: f64,
+        tolerance_rad: f64,
+        in_force: Stamp,
+    ) -> Option<Settle> {
+        Settle::of(&self.tilt, self.tilt_proof?, target_rad, tolerance_rad, in_force)
+    }
+
+    /// The same of the pan.
+    pub(super) fn pan_settles(
+        &self,
+        target_rad: f64,
+        tolerance_rad: f64,
+        in_force: Stamp,
+    ) -> Option<Settle> {
+        Settle::of(&self.pan, self.pan_proof?, target_rad, tolerance_rad, in_force)
+    }
+
+    /// Takes over what a calibration found: the model follows the law found. The waiting times keep to
+    /// the law that CONF told, unless there is none or the joint is slower than told.
+    pub(super) fn adopt(&mut self, fit: &ServoFit, lag: Option<(Span, Span)>) {
+        self.tilt.set_law(fit.law);
+        let slower_than_told = match (self.tilt_proof, fit.law) {
+            (
+                Some(ServoLaw::Hinge { speed_rad_s: told, gap_rad: told_gap }),
+                ServoLaw::Hinge { speed_rad_s, gap_rad },
+            ) => speed_rad_s / gap_rad < 0.97 * told / told_gap || speed_rad_s < 0.97 * told,
+            (Some(ServoLaw::Hinge { .. }), ServoLaw::Spring { .. }) => true,
+            (Some(ServoLaw::Spring { .. }) | None, _) => true,
+        };
+        if slower_than_told {
+            self.tilt_proof = Some(fit.law.derated());
+        }
+        self.timing = Timing {
+            command_delay: fit.delay,
+            line_lag: lag.map_or(Span::ZERO, |(lag, _)| lag),
+            sigma: lag.map_or(fit.time_sigma, |(_, sigma)| sigma),
+            model_sigma_rad: fit.rms_rad,
+            calibrated: true,
+        };
+    }
+
+    /// When the rays of a line were cast, as far as is known.
+    pub(super) fn cast_time(&self, line: &LaserLine) -> Stamp {
+        line.stamp + self.timing.line_lag
+    }
+
+    /// What calibration found of the times, or what is supposed.
+    pub fn timing(&self) -> &Timing {
+        &self.timing
+    }
+
     /// Commands the tilt joint and takes note of it.
     pub(super) fn command_tilt(&mut self, demand: Demand, now: Arrival) -> HeadCommand {
         if let Some(stamp) = self.expected_in_force(now) {
@@ -133,7 +213,7 @@ impl HeadControl {
     }
 
     fn expected_in_force(&self, now: Arrival) -> Option<Stamp> {
-        self.clock().earliest(now).map(|stamp| stamp + self.command_delay)
+        self.clock().earliest(now).map(|stamp| stamp + self.timing.command_delay)
     }
 
     /// The head's joints and mounts.
@@ -149,6 +229,31 @@ impl HeadControl {
     /// The sensor under `pose` in the scan frame.
     pub(super) fn scan_from_sensor(&self, pose: HeadPose) -> Isometry3<f64> {
         self.robot_from_scan().inverse() * self.head.robot_from_device(pose)
+    }
+}
+
+/// Times until a joint rests at a target, in seconds of simulated time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Settle {
+    /// Slewing at full speed.
+    pub slew_s: f64,
+    /// In all.
+    pub total_s: f64,
+}
+
+impl Settle {
+    /// The command may have come into force earlier than `in_force`, while the joint was still on
+    /// its way to the target before; what that one was allowed to be off is added for it.
+    fn of(
+        track: &AxisTrack,
+        law: ServoLaw,
+        target_rad: f64,
+        tolerance_rad: f64,
+        in_force: Stamp,
+    ) -> Option<Self> {
+        let error = track.error_bound_rad(target_rad, in_force) + tolerance_rad;
+        let total_s = law.settle_s(error, tolerance_rad);
+        Some(Self { slew_s: law.slew_s(error), total_s })
     }
 }
 

@@ -6,10 +6,14 @@
 //! stamp at which they are in force. A line is filed only if its own stamp is later than the time at
 //! which the tilt rests for certain.
 
+mod calibrate;
 mod clock;
 mod config;
 mod control;
+mod fix;
+mod flow;
 mod guard;
+mod identify;
 mod park;
 mod profile;
 mod scan;
@@ -19,10 +23,14 @@ mod sweep;
 mod testbed;
 mod track;
 
+pub use calibrate::CalibrationReport;
 pub use clock::{ClockStep, StampClock};
 pub use config::AcquisitionConfig;
-pub use control::HeadControl;
+pub use control::{HeadControl, Timing};
+pub use fix::{TiltFix, TiltReference};
+pub use flow::{Flow, FlowDrive};
 pub use guard::{GuardConfig, GuardTilt, guard_tilt};
+pub use identify::{Observation, ServoFit};
 pub use park::ParkState;
 pub use profile::{Clipped, FanConfig, Profile, QUARTER_DEGREE_RAD, QuarterDegrees};
 pub use scan::{Scan, ScanErrors, TimeBudget};
@@ -34,6 +42,7 @@ use crate::protocol::Dialect;
 use crate::robot::{Demand, GroundView, HeadPose, HeadReading, Rig, ScanHead};
 use crate::scan::LaserLine;
 use crate::time::{Arrival, Stamp};
+use calibrate::{Calibration, reference_profile};
 use park::Park;
 use serde::{Deserialize, Serialize};
 
@@ -76,6 +85,8 @@ pub enum HeadAction {
     },
     /// The sweep is over, as asked for or cut short.
     Finished(Box<Scan>),
+    /// The calibration is over.
+    Calibrated(Box<CalibrationReport>),
 }
 
 /// A sweep to be taken.
@@ -86,26 +97,61 @@ pub struct SweepRequest {
     pub profile: Profile,
     /// Where the pan is held, in radians, left positive.
     pub pan_rad: f64,
-    /// How far the tilt may be off its demanded angle when a line is taken, in radians; `None` for
-    /// the paper's tolerance.
-    pub tolerance_rad: Option<f64>,
+    /// How the tilt is moved along the rows.
+    pub mode: SweepMode,
+}
+
+/// How the tilt is moved along the rows of a profile.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum SweepMode {
+    /// It rests at every row, at most this far off the demanded angle in radians, and the row is
+    /// filed under the demanded angle: the paper's way in the simulator.
+    Settled {
+        /// Radians, above 0.
+        tolerance_rad: f64,
+    },
+    /// It never rests, and each row is filed under the angle at which it was taken. Needs a
+    /// calibrated head; a head that is not takes the rows at the coarse tolerance instead.
+    Flowing,
+    /// It turns at a constant rate: the paper's way on the real robot. Where the server knows no
+    /// rates, by a set-point for each line.
+    Continuous {
+        /// Radians per second, above 0.
+        rate_rad_s: f64,
+        /// Seconds between rows; 0 keeps every line.
+        cycle_s: f64,
+    },
 }
 
 impl SweepRequest {
-    /// The paper's full sweep at its tolerance.
-    pub fn paper() -> Self {
-        Self { profile: Profile::paper_full(), pan_rad: 0.0, tolerance_rad: None }
+    /// The paper's full sweep, at its tolerance.
+    pub fn paper(config: &AcquisitionConfig) -> Self {
+        let tolerance_rad = config.tolerance_deg.to_radians();
+        let mode = SweepMode::Settled { tolerance_rad };
+        Self { profile: Profile::paper_full(), pan_rad: 0.0, mode }
+    }
+
+    /// The paper's full sweep with motion and laser overlapped.
+    pub fn model() -> Self {
+        Self { profile: Profile::paper_full(), pan_rad: 0.0, mode: SweepMode::Flowing }
+    }
+
+    /// The paper's real robot: 0.05 rad/s, 70 rows in 19.2 s.
+    pub fn continuous() -> Self {
+        let profile = Profile { name: "continuous".into(), ..Profile::paper_full() };
+        let mode = SweepMode::Continuous { rate_rad_s: 0.05, cycle_s: 19.2 / 70.0 };
+        Self { profile, pan_rad: 0.0, mode }
     }
 
     /// A coarse sweep for exploration: `profile` at the coarse tolerance.
     pub fn coarse(profile: Profile, config: &AcquisitionConfig) -> Self {
-        let tolerance_rad = Some(config.coarse_tolerance_deg.to_radians());
-        Self { profile, pan_rad: 0.0, tolerance_rad }
+        let tolerance_rad = config.coarse_tolerance_deg.to_radians();
+        Self { profile, pan_rad: 0.0, mode: SweepMode::Settled { tolerance_rad } }
     }
 
-    /// The ground fan at the coarse tolerance.
-    pub fn ground_fan(view: &GroundView<'_>, config: &AcquisitionConfig) -> Self {
-        Self::coarse(Profile::ground_fan(view, &config.fan), config)
+    /// `profile` with motion and laser overlapped.
+    pub fn flowing(profile: Profile) -> Self {
+        Self { profile, pan_rad: 0.0, mode: SweepMode::Flowing }
     }
 
     /// The same with the pan held at `pan_rad`.
@@ -121,6 +167,10 @@ pub struct Acquisition {
     config: AcquisitionConfig,
     control: HeadControl,
     activity: Activity,
+    /// Whether the server takes rates.
+    rates: bool,
+    /// Height of the robot's origin above the ground, for the choice of the calibration's tilts.
+    origin_height_m: Option<f64>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -128,13 +178,16 @@ enum Activity {
     Idle,
     Parking(Park),
     Sweeping(Box<Sweep>),
+    Flowing(Box<Flow>),
+    Calibrating(Box<Calibration>),
 }
 
 impl Acquisition {
     /// A head at rest at zero, as a robot is created, whose joints follow `law` where one is known.
     pub fn new(head: &ScanHead, law: Option<ServoLaw>, config: AcquisitionConfig) -> Self {
         let control = HeadControl::new(head, law, &config);
-        Self { config, control, activity: Activity::Idle }
+        let rates = !matches!(law, None | Some(ServoLaw::Spring { .. }));
+        Self { config, control, activity: Activity::Idle, rates, origin_height_m: None }
     }
 
     /// The head of a rig just created: UT2004 joints follow the hinge law at the speed that CONF gave,
@@ -145,7 +198,35 @@ impl Acquisition {
             Dialect::Ut2004 => Some(ServoLaw::hinge(USUAL_LINK_SPEED_RAD_S)),
             Dialect::Udk => None,
         };
-        Some(Self::new(&laser.head, law, config))
+        let mut acquisition = Self::new(&laser.head, law, config);
+        acquisition.rates = rig.dialect == Dialect::Ut2004;
+        acquisition.origin_height_m = Some(rig.body.origin_height_m);
+        Some(acquisition)
+    }
+
+    /// Finds out how the tilt moves and when commands and rays take effect: a sweep of nine rows at
+    /// rest and eight seconds of motion, with the robot standing still. Ends in
+    /// [`HeadAction::Calibrated`].
+    pub fn calibrate(&mut self, now: Arrival) -> Vec<HeadAction> {
+        let head = self.control.head().clone();
+        let view = self.origin_height_m.map(|origin_height_m| GroundView {
+            head: &head,
+            origin_height_m,
+            half_fov_rad: std::f64::consts::FRAC_PI_2,
+        });
+        let profile = reference_profile(view.as_ref(), &self.control);
+        let (calibration, actions) =
+            Calibration::start(profile, &mut self.control, &self.config, now);
+        self.activity = match calibration.is_finished() {
+            true => Activity::Idle,
+            false => Activity::Calibrating(Box::new(calibration)),
+        };
+        actions
+    }
+
+    /// Whether a calibration has found the servo law and the small times.
+    pub fn is_calibrated(&self) -> bool {
+        self.control.timing().calibrated
     }
 
     /// Begins a sweep; one that is under way is dropped.
@@ -153,24 +234,52 @@ impl Acquisition {
         let limits = self.control.head().tilt().and_then(|axis| axis.limits);
         let (profile, clipped) = request.profile.clipped(limits);
         let profile = profile.from_nearer_end(self.control.tilt.target_rad().unwrap_or(0.0));
-        let tolerance =
-            request.tolerance_rad.unwrap_or_else(|| self.config.tolerance_deg.to_radians());
-        let (mut sweep, actions) =
-            Sweep::start(profile, request.pan_rad, tolerance, &mut self.control, &self.config, now);
-        if let Some(clipped) = clipped {
-            sweep.remark(format!("the tilt's limits cut {} rows off", clipped.rows));
-        }
-        self.activity = match sweep.is_finished() {
-            true => Activity::Idle,
-            false => Activity::Sweeping(Box::new(sweep)),
+        let limited =
+            clipped.map(|clipped| format!("the tilt's limits cut {} rows off", clipped.rows));
+        let coarse = self.config.coarse_tolerance_deg.to_radians();
+        let (drive, tolerance_rad) = match request.mode {
+            SweepMode::Settled { tolerance_rad } => (None, tolerance_rad),
+            _ if !self.is_calibrated() => (None, coarse),
+            SweepMode::Continuous { rate_rad_s, cycle_s } if self.rates => {
+                (Some(FlowDrive::Rate { rate_rad_s, cycle_s }), coarse)
+            }
+            SweepMode::Continuous { rate_rad_s, .. } => {
+                let step = rate_rad_s * self.control.rhythm.interval().seconds();
+                (Some(FlowDrive::SetPoints { step_rad: Some(step) }), coarse)
+            }
+            SweepMode::Flowing => (Some(FlowDrive::SetPoints { step_rad: None }), coarse),
         };
-        actions
+        let (control, config) = (&mut self.control, &self.config);
+        let pan_rad = request.pan_rad;
+        match drive {
+            None => {
+                let (mut sweep, actions) =
+                    Sweep::start(profile, pan_rad, tolerance_rad, control, config, now);
+                limited.into_iter().for_each(|text| sweep.remark(text));
+                let over = sweep.is_finished();
+                self.activity =
+                    if over { Activity::Idle } else { Activity::Sweeping(Box::new(sweep)) };
+                actions
+            }
+            Some(drive) => {
+                let (mut flow, actions) =
+                    Flow::start(profile, drive, pan_rad, control, config, now);
+                limited.into_iter().for_each(|text| flow.remark(text));
+                let over = flow.is_finished();
+                self.activity =
+                    if over { Activity::Idle } else { Activity::Flowing(Box::new(flow)) };
+                actions
+            }
+        }
     }
 
     /// Ends a sweep that is under way and hands over what there is.
     pub fn stop_sweep(&mut self, why: &str, now: Arrival) -> Option<Scan> {
-        let Activity::Sweeping(sweep) = &mut self.activity else { return None };
-        let scan = sweep.stop(why, &self.control, now);
+        let scan = match &mut self.activity {
+            Activity::Sweeping(sweep) => sweep.stop(why, &self.control, now),
+            Activity::Flowing(flow) => flow.stop(why, &self.control, now),
+            Activity::Idle | Activity::Parking(_) | Activity::Calibrating(_) => return None,
+        };
         self.activity = Activity::Idle;
         scan
     }
@@ -186,7 +295,7 @@ impl Acquisition {
     pub fn parked(&self, now: Arrival) -> ParkState {
         match &self.activity {
             Activity::Parking(park) => park.state(&self.control, now),
-            Activity::Idle | Activity::Sweeping(_) => ParkState::NotParked,
+            _ => ParkState::NotParked,
         }
     }
 
@@ -206,6 +315,21 @@ impl Acquisition {
                 }
                 actions
             }
+            Activity::Flowing(flow) => {
+                let actions = flow.handle(event, jumped, &mut self.control, &self.config, now);
+                if flow.is_finished() {
+                    self.activity = Activity::Idle;
+                }
+                actions
+            }
+            Activity::Calibrating(calibration) => {
+                let actions =
+                    calibration.handle(event, jumped, &mut self.control, &self.config, now);
+                if calibration.is_finished() {
+                    self.activity = Activity::Idle;
+                }
+                actions
+            }
         }
     }
 
@@ -213,6 +337,8 @@ impl Acquisition {
     pub fn next_wakeup(&self) -> Option<Arrival> {
         match &self.activity {
             Activity::Sweeping(sweep) => sweep.next_wakeup(),
+            Activity::Flowing(flow) => flow.next_wakeup(),
+            Activity::Calibrating(calibration) => calibration.next_wakeup(),
             Activity::Idle | Activity::Parking(_) => None,
         }
     }
@@ -221,7 +347,8 @@ impl Acquisition {
     pub fn progress(&self) -> Option<(usize, usize)> {
         match &self.activity {
             Activity::Sweeping(sweep) => Some(sweep.progress()),
-            Activity::Idle | Activity::Parking(_) => None,
+            Activity::Flowing(flow) => Some(flow.progress()),
+            Activity::Idle | Activity::Parking(_) | Activity::Calibrating(_) => None,
         }
     }
 
@@ -238,6 +365,11 @@ impl Acquisition {
         Some(HeadPose { pan_rad: pan, tilt_rad: tilt })
     }
 
+    /// Where the head pointed when a line was taken.
+    pub fn pose_of_line(&self, line: &LaserLine) -> Option<HeadPose> {
+        self.pose_at(self.control.cast_time(line))
+    }
+
     /// What is known of the head over time.
     pub fn control(&self) -> &HeadControl {
         &self.control
@@ -249,5 +381,7 @@ impl Acquisition {
     }
 }
 
+#[cfg(test)]
+mod flow_tests;
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
 use super::HeadCommand;
 use super::config::AcquisitionConfig;
-use super::control::HeadControl;
+use super::control::{HeadControl, Settle};
 use super::track::Verdict;
 use crate::robot::{Demand, HeadPose};
 use crate::time::{Arrival, Span, Stamp};
@@ -78,24 +78,19 @@ impl Park {
         now: Arrival,
     ) -> Vec<HeadCommand> {
         let Some(in_force) = control.in_force(now) else { return Vec::new() };
+        let settle_span = |settle: Option<Settle>| {
+            Span::from_seconds(settle.map_or(config.unknown_settle_s, |settle| settle.total_s))
+        };
         let mut settled = in_force;
         let mut commands = Vec::new();
         if control.head().tilt().is_some() {
-            settled = settled.max(control.tilt.rests_from(
-                self.pose.tilt_rad,
-                TOLERANCE_RAD,
-                in_force,
-                config,
-            ));
+            let settle = control.tilt_settles(self.pose.tilt_rad, TOLERANCE_RAD, in_force);
+            settled = settled.max(in_force + settle_span(settle));
             commands.push(control.command_tilt(Demand::Angle(self.pose.tilt_rad), now));
         }
         if control.head().pan().is_some() {
-            settled = settled.max(control.pan.rests_from(
-                self.pose.pan_rad,
-                TOLERANCE_RAD,
-                in_force,
-                config,
-            ));
+            let settle = control.pan_settles(self.pose.pan_rad, TOLERANCE_RAD, in_force);
+            settled = settled.max(in_force + settle_span(settle));
             commands.push(control.command_pan(Demand::Angle(self.pose.pan_rad), now));
         }
         self.settled = Some(settled);

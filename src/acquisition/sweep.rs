@@ -1,7 +1,7 @@
 //! Stop-scan-go: one sweep over a list of tilts, as a state machine.
 
 use super::config::AcquisitionConfig;
-use super::control::HeadControl;
+use super::control::{HeadControl, Settle};
 use super::profile::{Profile, QuarterDegrees};
 use super::scan::{FiledRow, Scan, ScanErrors, TimeBudget, image_of};
 use super::track::Verdict;
@@ -170,7 +170,7 @@ impl Sweep {
         self.finish(control, now, &mut actions);
         actions.into_iter().find_map(|action| match action {
             HeadAction::Finished(scan) => Some(*scan),
-            HeadAction::Send(_) | HeadAction::Filed { .. } => None,
+            _ => None,
         })
     }
 
@@ -191,10 +191,10 @@ impl Sweep {
         if !repeated {
             self.row_began = now;
         }
-        let mut settle = settle_of(&control.tilt, target, self.tolerance_rad, in_force);
+        let mut settle = control.tilt_settles(target, self.tolerance_rad, in_force);
         let pan_waits = control.pan.target_rad() != Some(self.pan_rad) || row == 0 || repeated;
         if control.head().pan().is_some() && pan_waits {
-            let pan = settle_of(&control.pan, self.pan_rad, self.tolerance_rad, in_force);
+            let pan = control.pan_settles(self.pan_rad, self.tolerance_rad, in_force);
             settle = settle.zip(pan).map(|(a, b)| if a.total_s >= b.total_s { a } else { b });
             actions.push(HeadAction::Send(control.command_pan(Demand::Angle(self.pan_rad), now)));
         }
@@ -420,28 +420,6 @@ impl Sweep {
         })));
         self.rows.clear();
     }
-}
-
-/// Times until a joint rests at a target.
-#[derive(Clone, Copy)]
-struct Settle {
-    slew_s: f64,
-    total_s: f64,
-}
-
-/// How long the joint needs to `target_rad`, counted from `in_force`; `None` if its law is unknown.
-///
-/// The command may have come into force earlier than that, so the distance is the greater of the two
-/// ends, and what the row before was allowed to be off is added.
-fn settle_of(
-    track: &super::track::AxisTrack,
-    target_rad: f64,
-    tolerance_rad: f64,
-    in_force: Stamp,
-) -> Option<Settle> {
-    let law = track.law()?;
-    let error = track.error_bound_rad(target_rad, in_force) + tolerance_rad;
-    Some(Settle { slew_s: law.slew_s(error), total_s: law.settle_s(error, tolerance_rad) })
 }
 
 /// Whether a line may be filed.

@@ -3,7 +3,9 @@
 //! Written apart from the stand-in simulator on purpose: it knows only what the tests of this module
 //! need, and it can be told to misbehave.
 
-use super::{Acquisition, HeadAction, HeadCommand, HeadEvent, Scan, ServoLaw, ServoState};
+use super::{
+    Acquisition, CalibrationReport, HeadAction, HeadCommand, HeadEvent, Scan, ServoLaw, ServoState,
+};
 use crate::geometry::AngleSpan;
 use crate::robot::{Demand, HeadPose, HeadReading, Joint, JointAngle, JointKind, Mount, ScanHead};
 use crate::scan::LaserLine;
@@ -89,6 +91,8 @@ pub struct Testbed {
     pub truth: Vec<(Stamp, f64)>,
     lines: u64,
     pub world: World,
+    /// Reports of calibrations.
+    pub calibrations: Vec<CalibrationReport>,
 }
 
 #[derive(Clone, Debug)]
@@ -146,6 +150,27 @@ pub fn head(limits: Option<AngleSpan>, speed_rad_s: Option<f64>) -> ScanHead {
     })
 }
 
+/// A line of the room under `pose`, its ranges scaled by `scale`.
+pub fn line_at(world: &World, head: &ScanHead, pose: HeadPose, scale: f64) -> LaserLine {
+    let sensor = head.robot_from_device(pose);
+    let step = PI / (BEAMS - 1) as f64;
+    let ranges_m = (0..BEAMS)
+        .map(|beam| {
+            let (sin, cos) = (-FRAC_PI_2 + beam as f64 * step).sin_cos();
+            let direction = sensor.rotation * Vector3::new(cos, sin, 0.0);
+            (world.range(&sensor.translation.vector.into(), &direction) * scale).min(20.0)
+        })
+        .collect();
+    LaserLine {
+        stamp: Stamp(0),
+        first_bearing_rad: -FRAC_PI_2,
+        bearing_step_rad: step,
+        min_range_m: 0.1,
+        max_range_m: 20.0,
+        ranges_m,
+    }
+}
+
 /// When a server's first message is stamped.
 const EPOCH_S: f64 = 5085.0;
 const STEP_S: f64 = 0.0025;
@@ -170,6 +195,7 @@ impl Testbed {
             truth: Vec::new(),
             lines: 0,
             world: World::default(),
+            calibrations: Vec::new(),
         }
     }
 
@@ -195,6 +221,19 @@ impl Testbed {
         None
     }
 
+    /// Runs until something holds, or for `limit_s`.
+    pub fn run_until(
+        &mut self,
+        acquisition: &mut Acquisition,
+        limit_s: f64,
+        holds: impl Fn(&Self) -> bool,
+    ) {
+        let end = self.now_s + limit_s;
+        while self.now_s < end && !holds(self) {
+            self.run(acquisition, 0.05);
+        }
+    }
+
     /// Puts commands of an action list on their way; hands back a scan if one is finished.
     pub fn take(&mut self, actions: Vec<HeadAction>) -> Option<Scan> {
         let mut finished = None;
@@ -206,6 +245,7 @@ impl Testbed {
                     self.pending.push(((arrives / frame).ceil() * frame, command));
                 }
                 HeadAction::Finished(scan) => finished = Some(*scan),
+                HeadAction::Calibrated(report) => self.calibrations.push(*report),
                 HeadAction::Filed { .. } => {}
             }
         }
@@ -249,6 +289,10 @@ impl Testbed {
         let stuck = self.faults.tilt_sticks_at_s.is_some_and(|at| self.now_s >= at);
         if !stuck {
             self.tilt = self.behaviour.law.advance(self.tilt, self.demand, STEP_S);
+            let limits = self.faults.true_limits.or(self.behaviour.limits);
+            if let Some(limits) = limits.filter(|limits| !limits.contains(self.tilt.angle_rad)) {
+                self.tilt = ServoState::at_rest(limits.clamp(self.tilt.angle_rad));
+            }
         }
         if self.cast.as_ref().is_some_and(|(at, line)| line.is_none() && *at <= self.now_s) {
             let line = self.cast_line();
@@ -335,26 +379,15 @@ impl Testbed {
     }
 
     fn cast_line(&mut self) -> LaserLine {
-        let head = head(None, None);
-        let sensor = head.robot_from_device(HeadPose::tilted(self.tilt.angle_rad));
-        let step = PI / (BEAMS - 1) as f64;
-        let ranges_m = (0..BEAMS)
-            .map(|beam| {
-                let (sin, cos) = (-FRAC_PI_2 + beam as f64 * step).sin_cos();
-                let direction = sensor.rotation * Vector3::new(cos, sin, 0.0);
-                let range = self.world.range(&sensor.translation.vector.into(), &direction);
-                let noise = 1.0 + (2.0 * self.uniform() - 1.0) * self.behaviour.range_noise;
-                (range * noise).min(20.0)
-            })
-            .collect();
-        LaserLine {
-            stamp: Stamp(0),
-            first_bearing_rad: -FRAC_PI_2,
-            bearing_step_rad: step,
-            min_range_m: 0.1,
-            max_range_m: 20.0,
-            ranges_m,
+        let pose = HeadPose::tilted(self.tilt.angle_rad);
+        let mut line = line_at(&self.world, &head(None, None), pose, 1.0);
+        for range in &mut line.ranges_m {
+            let noise = 1.0
+                + (2.0 * ((self.rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64) - 1.0)
+                    * self.behaviour.range_noise;
+            *range = (*range * noise).min(20.0);
         }
+        line
     }
 
     /// Error of each filed row against the true tilt at the casting of its line, in degrees.

@@ -14,7 +14,7 @@ fn fixture(behaviour: &Behaviour, law: Option<ServoLaw>) -> Acquisition {
 }
 
 fn request(profile: Profile) -> SweepRequest {
-    SweepRequest { profile, pan_rad: 0.0, tolerance_rad: None }
+    SweepRequest { profile, ..SweepRequest::paper(&AcquisitionConfig::default()) }
 }
 
 /// `count` rows of a quarter degree from `first` on.

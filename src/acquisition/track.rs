@@ -1,4 +1,3 @@
-use super::config::AcquisitionConfig;
 use super::servo::{ServoLaw, ServoState};
 use crate::geometry::AngleSpan;
 use crate::robot::Demand;
@@ -163,22 +162,6 @@ impl AxisTrack {
         let estimate = self.estimate(stamp).map(|e| (e.angle_rad - target_rad).abs());
         let width = self.limits.map_or(std::f64::consts::PI, |l| l.max_rad - l.min_rad);
         estimate.unwrap_or(width)
-    }
-
-    /// The stamp from which on the joint rests within `tolerance_rad` of `target_rad`, if told to go
-    /// there by a command in force at `in_force`: by its law, or after the time configured for joints
-    /// of unknown law.
-    pub(super) fn rests_from(
-        &self,
-        target_rad: f64,
-        tolerance_rad: f64,
-        in_force: Stamp,
-        config: &AcquisitionConfig,
-    ) -> Stamp {
-        let error = self.error_bound_rad(target_rad, in_force) + tolerance_rad;
-        let settle_s =
-            self.law.map_or(config.unknown_settle_s, |law| law.settle_s(error, tolerance_rad));
-        in_force + Span::from_seconds(settle_s)
     }
 
     /// Whether the readings of the time from `settled` to `until` show the joint at `target_rad`.

@@ -1,0 +1,359 @@
+//! The calibration motion: how the tilt follows its set-point, and when commands and rays take effect.
+
+use super::config::AcquisitionConfig;
+use super::control::HeadControl;
+use super::fix::TiltReference;
+use super::identify::{Observation, ServoFit, identify, lag_of};
+use super::profile::{Profile, QuarterDegrees};
+use super::scan::Scan;
+use super::sweep::Sweep;
+use super::{HeadAction, HeadEvent};
+use crate::robot::{Demand, GroundView};
+use crate::scan::LaserLine;
+use crate::time::{Arrival, Span, Stamp};
+use serde::{Deserialize, Serialize};
+
+/// What a calibration found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationReport {
+    /// The servo law and the delay of commands, if one explains the motion.
+    pub fit: Option<ServoFit>,
+    /// How far the casting of rays lags the stamps of lines, and its standard deviation; `None` if
+    /// the laser's view told nothing, or if there were no readings to hold it against, in which case
+    /// the lag is part of the fit's delay.
+    pub line_lag: Option<(Span, Span)>,
+    /// Readings used.
+    pub readings: usize,
+    /// Lines whose tilt the laser's view told.
+    pub fixes: usize,
+    /// Lines taken in motion.
+    pub lines: usize,
+    /// Session seconds it took.
+    pub seconds: f64,
+    /// What was found, in plain words.
+    pub text: String,
+}
+
+/// A reference sweep at rest, then jumps and small steps across it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Calibration {
+    stage: Stage,
+    started: Arrival,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+enum Stage {
+    Reference(Box<Sweep>),
+    Moving(Box<Moving>),
+    Finished,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Moving {
+    reference: Option<TiltReference>,
+    /// What is still to be demanded, last first.
+    script: Vec<Motion>,
+    lines_left: u32,
+    /// When the next motion is due, once the lines after the last one have come.
+    next_at: Option<Arrival>,
+    start_rad: f64,
+    began: Stamp,
+    commands: Vec<(Stamp, Demand)>,
+    lines: Vec<LaserLine>,
+    deadline: Arrival,
+}
+
+/// One motion of the calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Motion {
+    tilt: QuarterDegrees,
+    /// When it is demanded, in intervals after the last line: motions that all began with a line would
+    /// leave speed and delay to be mistaken for one another.
+    phase: f64,
+    /// Lines to wait for after it.
+    lines: u32,
+}
+
+/// Rows of the reference sweep, one degree apart.
+const REFERENCE_ROWS: i32 = 9;
+const REFERENCE_STEP: i32 = 4;
+
+/// The tilts to calibrate over: eight degrees that see ground at a middling distance, moved to where
+/// the link's limits allow. Empty for a laser that cannot tilt.
+pub(super) fn reference_profile(view: Option<&GroundView<'_>>, control: &HeadControl) -> Profile {
+    let Some(axis) = control.head().tilt() else {
+        return Profile { name: "calibration".into(), tilts: Vec::new() };
+    };
+    // Ground two to six metres ahead shows a change of tilt best; without a height known, 6° to 14°.
+    let wanted = view
+        .and_then(|v| v.tilt_for_ground_ahead(6.0))
+        .map_or(24, |t| QuarterDegrees::nearest(t).0);
+    let span = (REFERENCE_ROWS - 1) * REFERENCE_STEP;
+    let (low, high) = axis.limits.map_or((i32::MIN, i32::MAX), |limits| {
+        let quarter = |rad: f64| rad / super::QUARTER_DEGREE_RAD;
+        (quarter(limits.min_rad).ceil() as i32, quarter(limits.max_rad).floor() as i32)
+    });
+    let first = wanted.min(high.saturating_sub(span)).max(low);
+    let tilts = (0..REFERENCE_ROWS).map(|i| QuarterDegrees(first + i * REFERENCE_STEP)).collect();
+    Profile { name: "calibration".into(), tilts }
+}
+
+impl Calibration {
+    /// Begins with the reference sweep.
+    pub(super) fn start(
+        profile: Profile,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> (Self, Vec<HeadAction>) {
+        let limits = control.head().tilt().and_then(|axis| axis.limits);
+        let (profile, _) = profile.clipped(limits);
+        let tolerance = config.tolerance_deg.to_radians();
+        let (sweep, actions) = Sweep::start(profile, 0.0, tolerance, control, config, now);
+        let mut calibration = Self { stage: Stage::Reference(Box::new(sweep)), started: now };
+        let actions = calibration.pass_on(actions, control, config, now);
+        (calibration, actions)
+    }
+
+    /// Whether all is done.
+    pub fn is_finished(&self) -> bool {
+        self.stage == Stage::Finished
+    }
+
+    /// When the calibration must be called again even if nothing arrives.
+    pub fn next_wakeup(&self) -> Option<Arrival> {
+        match &self.stage {
+            Stage::Reference(sweep) => sweep.next_wakeup(),
+            Stage::Moving(moving) => Some(moving.next_at.unwrap_or(moving.deadline)),
+            Stage::Finished => None,
+        }
+    }
+
+    /// Takes an event that `control` has already noted; `jumped` if the server's clock did.
+    pub(super) fn handle(
+        &mut self,
+        event: &HeadEvent<'_>,
+        jumped: bool,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> Vec<HeadAction> {
+        match &mut self.stage {
+            Stage::Reference(sweep) => {
+                let actions = sweep.handle(event, jumped, control, config, now);
+                self.pass_on(actions, control, config, now)
+            }
+            Stage::Moving(_) if jumped => {
+                vec![self.give_up("the server's clock jumped during the calibration", now)]
+            }
+            Stage::Moving(moving) => {
+                if let HeadEvent::Line(line) = event
+                    && control.rhythm.is_whole(line)
+                {
+                    moving.lines.push((*line).clone());
+                    moving.lines_left = moving.lines_left.saturating_sub(1);
+                    moving.deadline = now + patience(control, config);
+                    if moving.lines_left == 0 && moving.next_at.is_none() {
+                        let phase = moving.script.last().map_or(0.0, |motion| motion.phase);
+                        let wait = phase * control.rhythm.interval().seconds();
+                        moving.next_at =
+                            Some(now + control.clock().arrival_span(Span::from_seconds(wait)));
+                    }
+                }
+                if moving.next_at.is_some_and(|at| now >= at) {
+                    return self.next_motion(control, now);
+                }
+                if now >= moving.deadline {
+                    return vec![self.give_up("the laser fell silent during the calibration", now)];
+                }
+                Vec::new()
+            }
+            Stage::Finished => Vec::new(),
+        }
+    }
+
+    /// Hands on the reference sweep's actions, and begins the motion when it is over.
+    fn pass_on(
+        &mut self,
+        actions: Vec<HeadAction>,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> Vec<HeadAction> {
+        let mut handed_on = Vec::new();
+        for action in actions {
+            match action {
+                HeadAction::Finished(scan) => {
+                    handed_on.extend(self.begin_motion(&scan, control, config, now));
+                }
+                HeadAction::Filed { .. } => {}
+                other => handed_on.push(other),
+            }
+        }
+        handed_on
+    }
+
+    fn begin_motion(
+        &mut self,
+        scan: &Scan,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> Vec<HeadAction> {
+        let rows = scan.image.rows();
+        let (Some(first), Some(last), Some(began)) =
+            (rows.first(), rows.last(), control.clock().earliest(now))
+        else {
+            return vec![self.give_up("no reference sweep could be taken", now)];
+        };
+        if scan.filed < 2 {
+            return vec![self.give_up("no reference sweep could be taken", now)];
+        }
+        // One row in from either end, so that the tilt rests where the reference can tell it.
+        let towards = if first.tilt_rad > last.tilt_rad { 1 } else { -1 };
+        let inwards = |end: f64, sign: i32| {
+            QuarterDegrees(QuarterDegrees::nearest(end).0 + sign * REFERENCE_STEP)
+        };
+        let (here, there) = (inwards(last.tilt_rad, towards), inwards(first.tilt_rad, -towards));
+        // A jump there and back shows speed, gap and delay; steps as small and as frequent as a
+        // sweep's show what matters for it; the last jump checks.
+        let jump = |tilt, phase, lines| Motion { tilt, phase, lines };
+        let mut script = vec![jump(there, 0.0, 8), jump(here, 0.35, 9)];
+        let steps = (1..=10).map(|i| QuarterDegrees(here.0 + i * towards));
+        script.extend(steps.map(|tilt| Motion { tilt, phase: 0.0, lines: 1 }));
+        script.extend([jump(there, 0.7, 7), jump(here, 0.5, 7)]);
+        script.reverse();
+        self.stage = Stage::Moving(Box::new(Moving {
+            reference: TiltReference::of(&scan.image),
+            script,
+            lines_left: 0,
+            next_at: None,
+            start_rad: last.tilt_rad,
+            began,
+            commands: Vec::new(),
+            lines: Vec::new(),
+            deadline: now + patience(control, config),
+        }));
+        self.next_motion(control, now)
+    }
+
+    fn next_motion(&mut self, control: &mut HeadControl, now: Arrival) -> Vec<HeadAction> {
+        let Stage::Moving(moving) = &mut self.stage else { return Vec::new() };
+        let Some(motion) = moving.script.pop() else {
+            return vec![self.solve(control, now)];
+        };
+        let demand = Demand::Angle(motion.tilt.radians());
+        if let Some(stamp) = control.clock().earliest(now) {
+            moving.commands.push((stamp, demand));
+        }
+        (moving.lines_left, moving.next_at) = (motion.lines, None);
+        vec![HeadAction::Send(control.command_tilt(demand, now))]
+    }
+
+    fn solve(&mut self, control: &mut HeadControl, now: Arrival) -> HeadAction {
+        let Stage::Moving(moving) = std::mem::replace(&mut self.stage, Stage::Finished) else {
+            return self.give_up("nothing was measured", now);
+        };
+        let limits = control.head().tilt().and_then(|axis| axis.limits);
+        let readings: Vec<Observation> = control
+            .tilt
+            .readings()
+            .iter()
+            .filter(|reading| reading.stamp >= moving.began)
+            .map(|r| Observation {
+                stamp: r.stamp,
+                angle_rad: r.angle_rad,
+                sigma_rad: r.half_width_rad,
+            })
+            .collect();
+        let fixes: Vec<Observation> = moving
+            .lines
+            .iter()
+            .filter_map(|line| {
+                let fix = moving.reference.as_ref()?.fix(line)?;
+                let (angle_rad, sigma_rad) = (fix.tilt_rad, fix.sigma_rad);
+                Some(Observation { stamp: line.stamp, angle_rad, sigma_rad })
+            })
+            .collect();
+        let prior = control.tilt.law();
+        let law_of = |seen: &[Observation]| {
+            identify(moving.start_rad, limits, &moving.commands, seen, prior)
+        };
+        let by_readings = law_of(&readings);
+        let line_lag = by_readings
+            .as_ref()
+            .and_then(|fit| lag_of(fit, moving.start_rad, limits, &moving.commands, &fixes));
+        // Readings without a dated line leave the lag unknown by half an interval either way.
+        let supposed = by_readings.as_ref().filter(|_| line_lag.is_none()).map(|_| {
+            let half = 0.5 * control.rhythm.interval().seconds();
+            (Span::from_seconds(half), Span::from_seconds(half / 3.0_f64.sqrt()))
+        });
+        let fit = by_readings.or_else(|| law_of(&fixes));
+        if let Some(fit) = &fit {
+            control.adopt(fit, line_lag.or(supposed));
+        }
+        let report = CalibrationReport {
+            fit,
+            line_lag,
+            readings: readings.len(),
+            fixes: fixes.len(),
+            lines: moving.lines.len(),
+            seconds: (now - self.started).seconds(),
+            text: describe(fit.as_ref(), line_lag, readings.len(), fixes.len()),
+        };
+        HeadAction::Calibrated(Box::new(report))
+    }
+
+    fn give_up(&mut self, why: &str, now: Arrival) -> HeadAction {
+        self.stage = Stage::Finished;
+        HeadAction::Calibrated(Box::new(CalibrationReport {
+            fit: None,
+            line_lag: None,
+            readings: 0,
+            fixes: 0,
+            lines: 0,
+            seconds: (now - self.started).seconds(),
+            text: format!("{why}: scans are taken with the tilt at rest"),
+        }))
+    }
+}
+
+fn patience(control: &HeadControl, config: &AcquisitionConfig) -> Span {
+    let lines = Span::from_seconds(3.0 * control.rhythm.interval().seconds());
+    control.clock().arrival_span(lines) + config.row_timeout()
+}
+
+fn describe(
+    fit: Option<&ServoFit>,
+    line_lag: Option<(Span, Span)>,
+    readings: usize,
+    fixes: usize,
+) -> String {
+    let Some(fit) = fit else {
+        return format!(
+            "no servo law explains the motion ({readings} readings, {fixes} lines of known tilt): \
+             scans are taken with the tilt at rest"
+        );
+    };
+    let law = match fit.law {
+        super::ServoLaw::Hinge { speed_rad_s, gap_rad } => {
+            format!("hinge of {speed_rad_s:.3} rad/s with a gap of {:.2}°", gap_rad.to_degrees())
+        }
+        super::ServoLaw::Spring { frequency_rad_s, damping } => {
+            format!("spring of {frequency_rad_s:.1} rad/s damped by {damping:.2}")
+        }
+    };
+    let lag = line_lag.map_or_else(
+        || "lag of the lines unknown".to_owned(),
+        |(lag, sigma)| {
+            format!("lines lag {:.0} ± {:.0} ms", 1e3 * lag.seconds(), 1e3 * sigma.seconds())
+        },
+    );
+    format!(
+        "{law}, commands obeyed after {:.0} ms, {lag}; {:.3}° rms over {} of {} observations",
+        1e3 * fit.delay.seconds(),
+        fit.rms_rad.to_degrees(),
+        fit.explained.0,
+        fit.explained.1
+    )
+}

@@ -1,0 +1,214 @@
+//! Sweeps in motion against the test bed: how long they take, and how far off their rows are.
+
+use super::testbed::{Behaviour, Faults, Testbed, World, head};
+use super::*;
+use proptest::prelude::*;
+
+/// UT2004 as it speaks: bursts of 0.2 s with jitter, lines a burst behind.
+fn ut2004(readings: bool) -> Behaviour {
+    Behaviour { readings, ..Behaviour::default() }
+}
+
+/// UDK as it speaks: no lag, finer stamps, a spring.
+fn udk(readings: bool) -> Behaviour {
+    Behaviour {
+        law: ServoLaw::Spring { frequency_rad_s: 12.0, damping: 0.7 },
+        line_lags: false,
+        stamp_grid_s: 1e-4,
+        jitter_s: 0.015,
+        readings,
+        ..Behaviour::default()
+    }
+}
+
+fn calibrated(bed: &mut Testbed) -> Acquisition {
+    let (speed, law) = match bed.behaviour.law {
+        ServoLaw::Hinge { speed_rad_s, .. } => (Some(speed_rad_s), Some(ServoLaw::hinge(0.17))),
+        ServoLaw::Spring { .. } => (None, None),
+    };
+    let config = AcquisitionConfig::default();
+    let mut acquisition = Acquisition::new(&head(bed.behaviour.limits, speed), law, config);
+    bed.run(&mut acquisition, 3.0);
+    let actions = acquisition.calibrate(bed.now());
+    bed.take(actions);
+    bed.run_until(&mut acquisition, 60.0, |bed| !bed.calibrations.is_empty());
+    acquisition
+}
+
+fn take(bed: &mut Testbed, acquisition: &mut Acquisition, request: SweepRequest) -> Scan {
+    let actions = acquisition.start(request, bed.now());
+    let at_once = bed.take(actions);
+    at_once.or_else(|| bed.run(acquisition, 600.0)).expect("a sweep never hangs")
+}
+
+fn quantile(errors: &[f64], share: f64) -> f64 {
+    let mut sorted: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted[((sorted.len() - 1) as f64 * share).round() as usize]
+}
+
+/// The dialects with and without readings.
+fn kinds() -> [(&'static str, Behaviour); 4] {
+    [
+        ("UT2004 with readings", ut2004(true)),
+        ("UT2004 without", ut2004(false)),
+        ("UDK with readings", udk(true)),
+        ("UDK without", udk(false)),
+    ]
+}
+
+#[test]
+fn a_full_sweep_in_motion_is_near_the_lasers_own_bound_and_true_to_a_tenth_of_a_degree() {
+    for (name, behaviour) in kinds() {
+        let mut bed = Testbed::new(behaviour, Faults::default(), 21);
+        let mut acquisition = calibrated(&mut bed);
+        assert!(acquisition.is_calibrated(), "{name}: {}", bed.calibrations[0].text);
+        // The first sweep begins a long way off; the second runs back from where the first ended.
+        for begun_at_its_end in [false, true] {
+            let scan = take(&mut bed, &mut acquisition, SweepRequest::model());
+            assert!(scan.complete && scan.remarks.is_empty(), "{name}: {:?}", scan.remarks);
+            assert!((214..=226).contains(&scan.filed), "{name}: {} rows", scan.filed);
+            let errors = bed.tilt_errors_deg(&scan);
+            assert!(quantile(&errors, 0.5) < 0.05, "{name}: {}", quantile(&errors, 0.5));
+            assert!(quantile(&errors, 0.99) < 0.15, "{name}: {}", quantile(&errors, 0.99));
+            let bound_s = 220.0 * 0.2;
+            let allowed = if begun_at_its_end { 1.05 } else { 1.15 };
+            assert!(scan.seconds() < allowed * bound_s, "{name}: {} s", scan.seconds());
+        }
+    }
+}
+
+#[test]
+fn every_set_point_in_motion_lies_on_the_grid_of_quarter_degrees() {
+    let mut bed = Testbed::new(ut2004(true), Faults::default(), 22);
+    let mut acquisition = calibrated(&mut bed);
+    take(&mut bed, &mut acquisition, SweepRequest::flowing(Profile::coarse(1.0)));
+    for (_, demand) in acquisition.control().tilt.commands() {
+        let Demand::Angle(angle) = demand else { panic!("no rate was asked for") };
+        let quarters = angle / QUARTER_DEGREE_RAD;
+        assert!((quarters - quarters.round()).abs() < 1e-9, "{}°", angle.to_degrees());
+    }
+}
+
+#[test]
+fn the_continuous_profile_takes_the_papers_seventy_rows_in_nineteen_seconds() {
+    for (name, behaviour) in [("with readings", ut2004(true)), ("without", ut2004(false))] {
+        let mut bed = Testbed::new(behaviour, Faults::default(), 23);
+        let mut acquisition = calibrated(&mut bed);
+        take(&mut bed, &mut acquisition, SweepRequest::continuous());
+        let scan = take(&mut bed, &mut acquisition, SweepRequest::continuous());
+        assert!((66..=71).contains(&scan.filed), "{name}: {} rows", scan.filed);
+        assert!((19.0..21.0).contains(&scan.seconds()), "{name}: {} s", scan.seconds());
+        let errors = bed.tilt_errors_deg(&scan);
+        assert!(quantile(&errors, 0.99) < 0.15, "{name}: {}", quantile(&errors, 0.99));
+    }
+}
+
+#[test]
+fn without_rates_the_continuous_profile_steps_at_the_same_speed() {
+    let mut bed = Testbed::new(udk(true), Faults::default(), 24);
+    let mut acquisition = calibrated(&mut bed);
+    take(&mut bed, &mut acquisition, SweepRequest::continuous());
+    let scan = take(&mut bed, &mut acquisition, SweepRequest::continuous());
+    assert!((18.0..22.0).contains(&scan.seconds()), "{} s", scan.seconds());
+}
+
+#[test]
+fn the_error_told_with_a_scan_covers_the_error_made() {
+    for (name, behaviour) in kinds() {
+        let mut bed = Testbed::new(behaviour, Faults::default(), 25);
+        let mut acquisition = calibrated(&mut bed);
+        for profile in [Profile::coarse(0.5), Profile::coarse(2.0)] {
+            let scan = take(&mut bed, &mut acquisition, SweepRequest::flowing(profile));
+            let errors = bed.tilt_errors_deg(&scan);
+            let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+            let told = scan.errors.tilt_row_rad.to_degrees();
+            assert!(rms < 2.0 * told, "{name}: {rms}° made, {told}° told");
+            assert!(told < 0.2, "{name}: {told}°");
+        }
+    }
+}
+
+#[test]
+fn an_uncalibrated_head_takes_the_rows_at_rest() {
+    let behaviour = ut2004(true);
+    let config = AcquisitionConfig::default();
+    let law = Some(behaviour.law);
+    let mut acquisition = Acquisition::new(&head(behaviour.limits, Some(0.17)), law, config);
+    let mut bed = Testbed::new(behaviour, Faults::default(), 26);
+    bed.run(&mut acquisition, 1.0);
+    let profile = Profile { name: "few".into(), tilts: (0..5).map(QuarterDegrees).collect() };
+    let scan = take(&mut bed, &mut acquisition, SweepRequest::flowing(profile));
+    assert!(scan.complete && scan.image.rows()[0].tilt_rad == 0.0);
+}
+
+#[test]
+fn a_tilt_that_sticks_in_motion_ends_the_sweep_with_the_rows_before() {
+    let faults = Faults { tilt_sticks_at_s: Some(40.0), ..Faults::default() };
+    let mut bed = Testbed::new(ut2004(true), faults, 27);
+    let mut acquisition = calibrated(&mut bed);
+    let scan = take(&mut bed, &mut acquisition, SweepRequest::model());
+    assert!(!scan.complete && scan.filed > 20, "{} rows", scan.filed);
+    assert!(scan.remarks[0].contains("the tilt rests at"), "{:?}", scan.remarks);
+    assert!(quantile(&bed.tilt_errors_deg(&scan), 0.99) < 0.15);
+}
+
+#[test]
+fn a_laser_that_stops_in_motion_ends_the_sweep_with_the_rows_before() {
+    let faults = Faults { laser_stops_at_s: Some(40.0), ..Faults::default() };
+    let mut bed = Testbed::new(ut2004(true), faults, 28);
+    let mut acquisition = calibrated(&mut bed);
+    let scan = take(&mut bed, &mut acquisition, SweepRequest::model());
+    assert!(!scan.complete && scan.filed > 20, "{} rows", scan.filed);
+    assert!(scan.remarks[0].contains("the laser has been silent"), "{:?}", scan.remarks);
+}
+
+#[test]
+fn late_readings_in_motion_leave_the_servo_law_to_date_the_rows() {
+    let faults = Faults { reading_delay_s: 2.0, swap_readings: true, ..Faults::default() };
+    let mut bed = Testbed::new(ut2004(true), faults, 29);
+    let mut acquisition = calibrated(&mut bed);
+    let scan = take(&mut bed, &mut acquisition, SweepRequest::flowing(Profile::coarse(0.5)));
+    assert!(scan.complete, "{:?}", scan.remarks);
+    assert!(quantile(&bed.tilt_errors_deg(&scan), 0.99) < 0.15);
+    assert!(scan.remarks[0].contains("no reading near"), "{:?}", scan.remarks);
+}
+
+#[test]
+fn a_room_that_tells_nothing_leaves_the_lag_unknown_and_says_so() {
+    let behaviour = ut2004(false);
+    let mut bed = Testbed::new(behaviour, Faults::default(), 30);
+    // Nothing within the scanner's reach.
+    bed.world = World { ground_z: -100.0, ceiling_z: 100.0, room: [100.0, 100.0] };
+    let acquisition = calibrated(&mut bed);
+    assert!(!acquisition.is_calibrated());
+    let text = &bed.calibrations[0].text;
+    assert!(text.starts_with("no servo law explains the motion"), "{text}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(10))]
+    #[test]
+    fn any_link_is_calibrated_and_its_rows_are_true(
+        speed in 0.08..0.6f64, gap_deg in 1.2..2.8f64, burst in 0.12..0.3f64, share in 0.0..1.0f64,
+        line_lags: bool, readings: bool, up in 0.0..0.03f64, down in 0.0..0.03f64, seed: u64
+    ) {
+        let behaviour = Behaviour {
+            law: ServoLaw::Hinge { speed_rad_s: speed, gap_rad: gap_deg.to_radians() },
+            burst_s: burst, jitter_s: 0.1 * burst, cast_share: share, line_lags, readings,
+            up_s: up, down_s: down, ..Behaviour::default()
+        };
+        let mut bed = Testbed::new(behaviour, Faults::default(), seed);
+        let mut acquisition = calibrated(&mut bed);
+        prop_assert!(acquisition.is_calibrated(), "{}", bed.calibrations[0].text);
+        let profile = Profile {
+            name: "part".into(),
+            tilts: (-20..40).map(QuarterDegrees).collect(),
+        };
+        let scan = take(&mut bed, &mut acquisition, SweepRequest::flowing(profile));
+        prop_assert!(scan.complete, "{:?}", scan.remarks);
+        let errors = bed.tilt_errors_deg(&scan);
+        prop_assert!(quantile(&errors, 0.5) < 0.05, "{}", quantile(&errors, 0.5));
+        prop_assert!(quantile(&errors, 0.99) < 0.15, "{}", quantile(&errors, 0.99));
+    }
+}

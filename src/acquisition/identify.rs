@@ -1,0 +1,303 @@
+//! Finding a joint's servo law from what it did.
+
+use super::servo::{HINGE_GAP_RAD, ServoLaw};
+use super::track::AxisTrack;
+use crate::geometry::AngleSpan;
+use crate::robot::Demand;
+use crate::time::{Span, Stamp};
+use serde::{Deserialize, Serialize};
+
+/// Where the joint was, by a reading or by the laser.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Observation {
+    /// The stamp of the reading or the line.
+    pub stamp: Stamp,
+    /// Angle in radians.
+    pub angle_rad: f64,
+    /// Its standard deviation in radians.
+    pub sigma_rad: f64,
+}
+
+/// A servo law that explains what was observed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ServoFit {
+    /// The law.
+    pub law: ServoLaw,
+    /// Time from sending a command, by the clock's lower bound, to the joint obeying it, on the time
+    /// axis of the observations.
+    pub delay: Span,
+    /// Root mean square of the residuals in radians, outliers left out.
+    pub rms_rad: f64,
+    /// Standard deviation of the time axis, from the residuals while the joint moved.
+    pub time_sigma: Span,
+    /// Observations that the law explains, and observations in all.
+    pub explained: (usize, usize),
+}
+
+/// Finest residual that is held against a law: readings are cut to this, and frames jitter.
+const FLOOR_RAD: f64 = 2e-4;
+/// Residuals beyond this many deviations are outliers.
+const CUT: f64 = 6.0;
+/// Share of the observations that a law must explain.
+const EXPLAINED: f64 = 0.7;
+/// A rest of this much means that the law is of another kind.
+const WORST_RMS_RAD: f64 = 0.0035;
+/// Fewest observations that a law can be found from.
+const FEWEST: usize = 12;
+
+/// The law, of either kind, that explains the observations best; `None` if none does.
+///
+/// `commands` hold the clock's lower bound at sending; the joint rests at `start_rad` before them.
+pub fn identify(
+    start_rad: f64,
+    limits: Option<AngleSpan>,
+    commands: &[(Stamp, Demand)],
+    observations: &[Observation],
+    prior: Option<ServoLaw>,
+) -> Option<ServoFit> {
+    if observations.len() < FEWEST || commands.is_empty() {
+        return None;
+    }
+    let case = Case { start_rad, limits, commands, observations };
+    let prior_speed = match prior {
+        Some(ServoLaw::Hinge { speed_rad_s, .. }) => speed_rad_s,
+        Some(ServoLaw::Spring { .. }) | None => 0.17,
+    };
+    let hinges = [1.0, 0.4, 2.5, 8.0].map(|f| [(prior_speed * f).ln(), HINGE_GAP_RAD.ln(), 0.03]);
+    let springs = [[2.0, 0.0, 0.03], [2.7, -0.7, 0.03], [3.4, 0.0, 0.03], [2.7, 0.7, 0.03]];
+    let best = |starts: [[f64; 3]; 4], law_of: fn(&[f64; 3]) -> ServoLaw| {
+        // The valley of the true noise is narrow and curved: the search begins with a noise that
+        // widens it, and sharpens.
+        let search = |start: [f64; 3]| {
+            [24.0, 6.0, 1.0, 1.0].into_iter().fold((start, f64::INFINITY), |(x, _), widening| {
+                minimise(x, |x| case.cost(law_of(x), x[2], widening))
+            })
+        };
+        starts
+            .map(search)
+            .into_iter()
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(x, cost)| (law_of(&x), x[2], cost))
+    };
+    let fits = [best(hinges, hinge_of), best(springs, spring_of)];
+    let (law, delay_s, _) = fits.into_iter().flatten().min_by(|a, b| a.2.total_cmp(&b.2))?;
+    case.report(law, delay_s)
+}
+
+/// The time by which observations of another kind lag the axis of `commands` and `fit`: the lag of
+/// lines behind their stamps, for instance. `None` if too few of them were made in motion.
+pub fn lag_of(
+    fit: &ServoFit,
+    start_rad: f64,
+    limits: Option<AngleSpan>,
+    commands: &[(Stamp, Demand)],
+    observations: &[Observation],
+) -> Option<(Span, Span)> {
+    let case = Case { start_rad, limits, commands, observations };
+    let delay_s = fit.delay.seconds();
+    // A later cast looks like an earlier command.
+    let cost = |lag_s: f64| case.cost(fit.law, delay_s - lag_s, 1.0);
+    let grid = (-20..=80).map(|i| 0.005 * f64::from(i));
+    let coarse = grid.min_by(|a, b| cost(*a).total_cmp(&cost(*b)))?;
+    let ([lag_s, ..], _) = minimise([coarse, 0.0, 0.0], |x| cost(x[0]));
+    let report = case.report(fit.law, delay_s - lag_s)?;
+    Some((Span::from_seconds(lag_s), report.time_sigma))
+}
+
+fn hinge_of(x: &[f64; 3]) -> ServoLaw {
+    ServoLaw::Hinge {
+        speed_rad_s: x[0].clamp(-7.0, 3.0).exp(),
+        gap_rad: x[1].clamp(-8.0, 0.5).exp(),
+    }
+}
+
+fn spring_of(x: &[f64; 3]) -> ServoLaw {
+    ServoLaw::Spring {
+        frequency_rad_s: x[0].clamp(-1.0, 6.0).exp(),
+        damping: x[1].clamp(-3.5, 2.0).exp(),
+    }
+}
+
+struct Case<'a> {
+    start_rad: f64,
+    limits: Option<AngleSpan>,
+    commands: &'a [(Stamp, Demand)],
+    observations: &'a [Observation],
+}
+
+impl Case<'_> {
+    fn track(&self, law: ServoLaw, delay_s: f64) -> AxisTrack {
+        let mut track = AxisTrack::new(Some(law), self.limits, self.start_rad);
+        let delay = Span::from_seconds(delay_s.clamp(-1.0, 2.0));
+        for &(stamp, demand) in self.commands {
+            track.demand(stamp + delay, demand);
+        }
+        track
+    }
+
+    /// Mean squared residual in deviations, `widening` times the true ones, cut.
+    fn cost(&self, law: ServoLaw, delay_s: f64, widening: f64) -> f64 {
+        let track = self.track(law, delay_s);
+        let sum: f64 = self
+            .observations
+            .iter()
+            .map(|seen| {
+                let estimate = track.estimate(seen.stamp).map_or(f64::MAX, |e| e.angle_rad);
+                let sigma = widening * seen.sigma_rad.max(FLOOR_RAD);
+                let residual = (estimate - seen.angle_rad) / sigma;
+                // Beyond the cut the cost still grows a little, so that a search far off finds home.
+                let square = residual * residual;
+                if square > CUT * CUT { CUT * CUT + (square / (CUT * CUT)).ln() } else { square }
+            })
+            .sum();
+        sum / self.observations.len() as f64
+    }
+
+    fn report(&self, law: ServoLaw, delay_s: f64) -> Option<ServoFit> {
+        let track = self.track(law, delay_s);
+        let (mut squares, mut explained) = (0.0, 0_usize);
+        let (mut moving_squares, mut rate_squares) = (0.0, 0.0);
+        for seen in self.observations {
+            let estimate = track.estimate(seen.stamp)?;
+            let residual = estimate.angle_rad - seen.angle_rad;
+            // Outliers are told by the angle, not by the precision of the reading: a joint that
+            // moves at 10°/s is a tenth of a degree off after a hundredth of a second.
+            if residual.abs() > 3.0 * WORST_RMS_RAD {
+                continue;
+            }
+            explained += 1;
+            squares += residual * residual;
+            const MOVING_RAD_S: f64 = 0.01;
+            if estimate.rate_rad_s.abs() > MOVING_RAD_S {
+                moving_squares += residual * residual;
+                rate_squares += estimate.rate_rad_s * estimate.rate_rad_s;
+            }
+        }
+        let rms_rad = (squares / explained.max(1) as f64).sqrt();
+        let enough = explained as f64 >= EXPLAINED * self.observations.len() as f64;
+        if !enough || rms_rad > WORST_RMS_RAD || rate_squares == 0.0 {
+            return None;
+        }
+        let time_sigma = Span::from_seconds((moving_squares / rate_squares).sqrt().max(0.001));
+        let explained = (explained, self.observations.len());
+        Some(ServoFit { law, delay: Span::from_seconds(delay_s), rms_rad, time_sigma, explained })
+    }
+}
+
+/// Nelder and Mead's simplex search in three unknowns, from `start` with steps suited to logarithms
+/// and to a delay in seconds. Returns the best point and its cost.
+fn minimise(start: [f64; 3], cost: impl Fn(&[f64; 3]) -> f64) -> ([f64; 3], f64) {
+    const STEPS: [f64; 3] = [0.3, 0.3, 0.04];
+    const ROUNDS: usize = 160;
+    let mut simplex: Vec<([f64; 3], f64)> = vec![(start, cost(&start))];
+    for axis in 0..3 {
+        let mut corner = start;
+        corner[axis] += STEPS[axis];
+        simplex.push((corner, cost(&corner)));
+    }
+    for _ in 0..ROUNDS {
+        // A stable sort: of equal costs the older corner stays ahead.
+        simplex.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let worst = simplex[3];
+        if worst.1 - simplex[0].1 <= 1e-7 * (1e-3 + simplex[0].1) {
+            break;
+        }
+        let centre: [f64; 3] =
+            std::array::from_fn(|i| simplex[..3].iter().map(|c| c.0[i]).sum::<f64>() / 3.0);
+        let towards = |scale: f64| {
+            let x: [f64; 3] = std::array::from_fn(|i| centre[i] + scale * (worst.0[i] - centre[i]));
+            (x, cost(&x))
+        };
+        let reflected = towards(-1.0);
+        if reflected.1 < simplex[0].1 {
+            let expanded = towards(-2.0);
+            simplex[3] = if expanded.1 < reflected.1 { expanded } else { reflected };
+        } else if reflected.1 < simplex[2].1 {
+            simplex[3] = reflected;
+        } else {
+            let contracted = towards(if reflected.1 < worst.1 { -0.5 } else { 0.5 });
+            if contracted.1 < worst.1.min(reflected.1) {
+                simplex[3] = contracted;
+            } else {
+                let best = simplex[0].0;
+                for corner in &mut simplex[1..] {
+                    let x = std::array::from_fn(|i| 0.5 * (best[i] + corner.0[i]));
+                    *corner = (x, cost(&x));
+                }
+            }
+        }
+    }
+    simplex.sort_by(|a, b| a.1.total_cmp(&b.1));
+    simplex[0]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn s(seconds: f64) -> Stamp {
+        Stamp::from_seconds(seconds)
+    }
+
+    /// A calibration motion and what is read of it every 0.2 s, with a little noise.
+    fn observed(
+        law: ServoLaw,
+        delay_s: f64,
+        lag_s: f64,
+    ) -> (Vec<(Stamp, Demand)>, Vec<Observation>) {
+        let mut commands = vec![(s(1.0), Demand::Angle(0.14)), (s(2.87), Demand::Angle(0.0))];
+        commands.extend(
+            (0..8).map(|i| (s(4.6 + 0.2 * f64::from(i)), Demand::Angle(0.0044 * f64::from(i + 1)))),
+        );
+        commands.push((s(6.93), Demand::Angle(0.14)));
+        let mut track = AxisTrack::new(Some(law), None, 0.0);
+        for &(stamp, demand) in &commands {
+            track.demand(stamp + Span::from_seconds(delay_s), demand);
+        }
+        let observations = (0..42)
+            .map(|i| {
+                let stamp = s(0.4 + 0.2 * f64::from(i));
+                let at = track.estimate(stamp + Span::from_seconds(lag_s)).unwrap().angle_rad;
+                let noise = 1e-4 * (f64::from(i) * 12.9898).sin();
+                Observation { stamp, angle_rad: at + noise, sigma_rad: 2e-4 }
+            })
+            .collect();
+        (commands, observations)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+        #[test]
+        fn a_hinge_is_found_again(
+            speed in 0.08..0.6f64, gap_deg in 1.0..3.0f64, delay in 0.0..0.15f64, lag in 0.0..0.2f64
+        ) {
+            let law = ServoLaw::Hinge { speed_rad_s: speed, gap_rad: gap_deg.to_radians() };
+            let (commands, readings) = observed(law, delay, 0.0);
+            let fit = identify(0.0, None, &commands, &readings, Some(ServoLaw::hinge(0.17))).unwrap();
+            prop_assert!((fit.delay.seconds() - delay).abs() < 0.008, "{fit:?} for {law:?}");
+            prop_assert!(fit.rms_rad < 2e-4, "{fit:?}");
+            let (_, lines) = observed(law, delay, lag);
+            let (found, _) = lag_of(&fit, 0.0, None, &commands, &lines).unwrap();
+            prop_assert!((found.seconds() - lag).abs() < 0.008, "{} for {lag}", found.seconds());
+        }
+
+        #[test]
+        fn a_spring_is_found_again(frequency in 4.0..25.0f64, damping in 0.3..1.5f64, delay in 0.0..0.1f64) {
+            let law = ServoLaw::Spring { frequency_rad_s: frequency, damping };
+            let (commands, readings) = observed(law, delay, 0.0);
+            let fit = identify(0.0, None, &commands, &readings, None).unwrap();
+            prop_assert!(fit.rms_rad < 4e-4, "{fit:?} for {law:?} {delay}");
+        }
+    }
+
+    #[test]
+    fn what_no_law_explains_is_not_explained() {
+        let (commands, mut readings) = observed(ServoLaw::hinge(0.17), 0.02, 0.0);
+        for (i, reading) in readings.iter_mut().enumerate() {
+            reading.angle_rad = 0.1 * ((i * i) as f64).sin();
+        }
+        assert_eq!(identify(0.0, None, &commands, &readings, None), None);
+        assert_eq!(identify(0.0, None, &commands, &readings[..5], None), None);
+    }
+}
