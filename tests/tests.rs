@@ -4,3 +4,4 @@
 
 mod layering;
 mod protocol;
+mod scripted;
