@@ -8,3 +8,4 @@ mod protocol;
 mod segmentation;
 mod terrain;
 mod truth;
+mod scripted;

@@ -7,6 +7,7 @@
 //! Command ──encode_command──▶ line                                          agent writes
 //! bytes ──LineSplitter──▶ line ──parse_command──▶ ParsedCommand               stand-in reads
 //! Message ──encode_message──▶ line                                          stand-in writes
+//! captured text ──capture::Capture──▶ lines + remarks                        replay reads
 //! ```
 //!
 //! - **Reading is tolerant and needs no dialect.** Both forms of every message are taken: keys in
