@@ -5,7 +5,7 @@
 mod layering;
 mod mapping;
 mod protocol;
+mod scripted;
 mod segmentation;
 mod terrain;
 mod truth;
-mod scripted;

@@ -1,88 +1,236 @@
-use crate::driver::host::Host;
-use crate::driver::lockstep::Lockstep;
-use crate::files::scenario;
-use crate::mission::{Agent, Placement};
-use crate::record::{Header, Writer};
-use crate::sim::Session;
+//! `usar mission`: one mission headless, agents and simulator in lockstep.
+
+use super::files::write_stdout;
+use super::out::RunFolder;
+use crate::driver::simulated::{MissionResult, SimulatedMission};
+use crate::export::report::Report;
+use crate::files::agent_config::Source;
+use crate::files::scenario::{self, LoadedScenario};
+use crate::mission::Level;
 use anyhow::Result;
-use clap::Args;
+use clap::{Args, ValueEnum};
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Instant;
 
 /// Arguments of `usar mission`.
 #[derive(Debug, Args)]
+#[command(after_help = "Example:\n  usar mission scenarios/station.toml --seed 7 --out run/")]
 pub struct MissionArguments {
-    /// Scenario file, or the name of one that comes with the program.
+    /// Scenario file, or the name of one in the program: box, planes, station, yellow
     scenario: PathBuf,
-    /// Seed of the simulator's noise, instead of the scenario's.
-    #[arg(long)]
-    seed: Option<u64>,
-    /// Length of the mission in seconds, instead of the scenario's.
-    #[arg(long)]
-    time_limit: Option<f64>,
+    #[command(flatten)]
+    common: CommonArguments,
+    /// Form of the summary on standard output
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
+    format: Format,
 }
 
-/// Runs one mission in lockstep.
-pub fn run(arguments: &MissionArguments) -> Result<ExitCode> {
-    let mut loaded = scenario::load(&arguments.scenario, &[])?;
-    if let Some(seed) = arguments.seed {
-        loaded.scenario.seed = seed;
+/// What `mission` and `demo` share.
+#[derive(Debug, Args)]
+pub struct CommonArguments {
+    /// Seed of the simulator's noise, instead of the scenario's
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Length of the mission in seconds, instead of the scenario's
+    #[arg(long, value_name = "S", value_parser = positive_seconds)]
+    pub time_limit: Option<f64>,
+    /// Agent configuration that overrides the scenario's
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Run folder, instead of runs/<date>_<scenario>/
+    #[arg(long, value_name = "DIR", help_heading = "Output")]
+    pub out: Option<PathBuf>,
+    /// Write into a folder that holds a recording already
+    #[arg(long, help_heading = "Output")]
+    pub force: bool,
+}
+
+/// Form of a summary.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For people
+    #[default]
+    Text,
+    /// One JSON document
+    Json,
+}
+
+/// A number of seconds above zero.
+pub fn positive_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("expected a number of seconds above 0".to_owned()),
     }
-    if let Some(limit) = arguments.time_limit {
+}
+
+/// Runs the verb.
+///
+/// # Errors
+///
+/// A scenario or configuration that cannot be used, a run folder that cannot be written.
+pub fn run(arguments: &MissionArguments) -> Result<ExitCode> {
+    let loaded = load(&arguments.scenario, &arguments.common)?;
+    let (report, folder) = fly(loaded, &arguments.common, Progress::Quiet)?;
+    write_stdout(&match arguments.format {
+        Format::Text => summary(&report, &folder),
+        Format::Json => serde_json::to_string_pretty(&report)? + "\n",
+    })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The scenario with what the command line changes in it.
+///
+/// # Errors
+///
+/// Everything wrong with scenario, map, robots or configuration.
+pub fn load(path: &std::path::Path, common: &CommonArguments) -> Result<LoadedScenario> {
+    let overrides: Vec<Source> =
+        common.config.iter().map(|path| Source::file(path)).collect::<Result<_, _>>()?;
+    let mut loaded = scenario::load(path, &overrides)?;
+    if let Some(seed) = common.seed {
+        loaded.files.scenario.seed = seed;
+    }
+    if let Some(limit) = common.time_limit {
         loaded.agent.mission.time_limit_s = limit;
     }
-    let session = Session::new(&loaded.world, &loaded.scenario, &loaded.catalogue)?;
-    let placement =
-        loaded.scenario.robots[0].start.clone().map_or(Placement::FirstStart, Placement::Start);
-    let agent = Agent::new(loaded.agent.clone(), placement);
-    let header = Header {
-        seed: loaded.scenario.seed,
-        scenario: loaded.name.clone(),
-        config: toml::to_string(&loaded.agent)?,
-    };
-    let host = Host::new(agent, Some(Writer::new(Vec::new(), &header)?));
-    let mut lockstep = Lockstep::new(session, vec![host])?;
+    Ok(loaded)
+}
+
+/// How much is said while a mission runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progress {
+    /// Warnings only.
+    Quiet,
+    /// What the agent does, and a line of progress.
+    Lively,
+}
+
+/// Runs a mission to its end and writes its folder; gives the report and the folder's path.
+///
+/// # Errors
+///
+/// When parts do not fit or files cannot be written.
+pub fn fly(
+    loaded: LoadedScenario,
+    common: &CommonArguments,
+    progress: Progress,
+) -> Result<(Report, PathBuf)> {
+    let folder = RunFolder::create(common.out.as_deref(), &loaded.name, common.force)?;
+    folder.write("config.toml", toml::to_string(&loaded.agent)?.as_bytes())?;
+    let stop = super::interrupt::watch();
+    #[expect(clippy::disallowed_methods, reason = "the report tells how long the run took")]
+    let began = Instant::now();
+    let limit_s = loaded.agent.mission.time_limit_s;
+    let mut mission = SimulatedMission::new(loaded, folder.recording()?)?;
     let mut seen = 0;
-    let mut last = 0.0;
-    while lockstep.step()? {
-        let agent = lockstep.agents().next().expect("one agent");
-        for note in agent.journal().since(seen) {
-            println!("{:8.2} {:?} {}", note.arrival.seconds(), note.level, note.text);
+    let mut shown_s = f64::NEG_INFINITY;
+    while mission.step()? {
+        seen = show(&mission, seen, progress);
+        if progress == Progress::Lively && mission.now().seconds() - shown_s >= 5.0 {
+            shown_s = mission.now().seconds();
+            status_line(&mission, limit_s);
         }
-        seen = agent.journal().len();
-        if lockstep.now().seconds() - last > 20.0 {
-            last = lockstep.now().seconds();
-            if let (Some(running), Some(truth)) = (agent.running(), lockstep.truth(0)) {
-                let p = running.belief().world_from_robot().translation.vector;
-                let t = truth.world_from_robot.translation.vector;
-                println!(
-                    "{last:8.2} pose {:.3} {:.3} {:.3} truth {:.3} {:.3} {:.3} falls {} coll {} {:.2}",
-                    p.x,
-                    p.y,
-                    p.z,
-                    t.x,
-                    t.y,
-                    t.z,
-                    truth.falls,
-                    truth.collisions,
-                    truth.worst_collision_mps
-                );
-            }
+        if stop.is_set() {
+            mission.end("interrupted")?;
         }
     }
-    let agent = lockstep.agents().next().expect("one agent");
-    for note in agent.journal().since(seen) {
-        println!("{:8.2} {:?} {}", note.arrival.seconds(), note.level, note.text);
+    show(&mission, seen, progress);
+    let MissionResult { mut report, files } = mission.finish()?;
+    report.wall_time_s = began.elapsed().as_secs_f64();
+    for (name, bytes) in &files {
+        folder.write(name, bytes)?;
     }
-    if let Some(running) = agent.running() {
-        let grid = running.belief().grid();
-        let overlay = crate::export::map_picture::Overlay {
-            title: loaded.name.clone(),
-            trajectory: running.belief().trajectory().iter().map(|(_, p)| *p).collect(),
-            ..Default::default()
-        };
-        std::fs::write("/tmp/map.png", crate::export::map_picture::draw(&grid, &overlay).to_png())?;
+    folder.write("report.json", serde_json::to_string_pretty(&report)?.as_bytes())?;
+    Ok((report, folder.path().to_owned()))
+}
+
+/// Prints what the agent has noted since; gives the number of notes.
+fn show<W: std::io::Write>(
+    mission: &SimulatedMission<W>,
+    seen: usize,
+    progress: Progress,
+) -> usize {
+    let journal = mission.agent().journal();
+    for note in journal.since(seen) {
+        if progress == Progress::Lively || note.level > Level::Info {
+            eprintln!("\r{:8.1} s  {}", note.arrival.seconds(), note.text);
+        }
     }
-    println!("{:?}", agent.tally());
-    Ok(ExitCode::SUCCESS)
+    journal.len()
+}
+
+fn status_line<W: std::io::Write>(mission: &SimulatedMission<W>, limit_s: f64) {
+    let Some(running) = mission.agent().running() else { return };
+    let p = running.belief().world_from_robot().translation.vector;
+    eprint!(
+        "\r{:8.1} / {limit_s:.0} s  at ({:.1}, {:.1}), {:.0} m driven, {} landmarks ",
+        mission.now().seconds(),
+        p.x,
+        p.y,
+        running.belief().path_m(),
+        running.belief().mapper().landmarks().len(),
+    );
+    let _ = std::io::stderr().flush();
+}
+
+/// The report in a dozen lines.
+pub fn summary(report: &Report, folder: &std::path::Path) -> String {
+    let mut text = format!(
+        "\n{}: {} after {:.0} s ({:.0} s of wall time)\n",
+        report.scenario, report.outcome, report.mission_time_s, report.wall_time_s
+    );
+    let split = report.time_split_s;
+    let _ = writeln!(
+        text,
+        "  time     scan {:.0} s, drive {:.0} s, turn {:.0} s, think {:.0} s, recover {:.0} s",
+        split.scan, split.drive, split.turn, split.think, split.recover
+    );
+    let _ = writeln!(
+        text,
+        "  map      {} landmarks, {} associations, {} sweeps, {:.1} m driven",
+        report.landmarks,
+        report.associations,
+        report.sweeps.len(),
+        report.distance_m
+    );
+    if let (Some(coverage), Some(explored), Some(reachable)) =
+        (report.coverage, report.explored_m2, report.reachable_m2)
+    {
+        let _ = writeln!(
+            text,
+            "  coverage {coverage:.3}: {explored:.0} of {reachable:.0} m² that can be reached"
+        );
+    }
+    if let Some(error) = report.pose_error {
+        let or_dash = |v: Option<f64>| v.map_or("-".to_owned(), |v| format!("{v:.2} m"));
+        let _ = writeln!(
+            text,
+            "  pose     {:.3} m, {:.2}° at the end, {:.3} m RMS; odometry alone {}, INS alone {}",
+            error.final_m,
+            error.final_deg,
+            error.ate_rmse_m,
+            or_dash(error.odometry_final_m),
+            or_dash(error.ins_final_m)
+        );
+    }
+    if let (Some(falls), Some(collisions)) = (report.falls, report.collisions) {
+        let _ = writeln!(
+            text,
+            "  safety   {falls} falls, {collisions} collisions (hardest {:.2} m/s), {} troubles",
+            report.hardest_collision_mps.unwrap_or(0.0),
+            report.stuck
+        );
+    }
+    if let (Some(found), Some(victims)) = (report.victims.found, report.victims.truth) {
+        let _ = writeln!(
+            text,
+            "  victims  {found} of {victims} found, {} wrong",
+            report.victims.wrong.unwrap_or(0)
+        );
+    }
+    let _ = writeln!(text, "  files    {}", folder.display());
+    text
 }

@@ -1,8 +1,11 @@
 //! Arguments, wiring and exit codes: one file per verb.
 
+mod demo;
 mod files;
+mod interrupt;
 mod map;
 mod mission;
+mod out;
 mod paper;
 mod segment;
 
@@ -19,7 +22,9 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// One mission, agents and simulator in lockstep.
+    /// One autonomous mission in the railway station, with its own simulator.
+    Demo(demo::DemoArguments),
+    /// One mission headless, agents and simulator in lockstep.
     Mission(mission::MissionArguments),
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
@@ -32,6 +37,7 @@ enum Verb {
 /// Runs the verb that the arguments name and turns its outcome into an exit code.
 pub fn run(arguments: Arguments) -> ExitCode {
     let outcome = match arguments.verb {
+        Verb::Demo(arguments) => demo::run(&arguments),
         Verb::Mission(arguments) => mission::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
         Verb::Map(arguments) => map::run(&arguments),

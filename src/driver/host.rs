@@ -1,5 +1,6 @@
 //! An agent and its recorder: what every driver feeds.
 
+use crate::export::score::Bystander;
 use crate::mission::{Action, Agent, Event, Outcome};
 use crate::protocol::encode_command;
 use crate::record::{Entry, What, Writer};
@@ -10,17 +11,23 @@ use std::io::{self, Write};
 pub struct Host<W: Write> {
     agent: Agent,
     recorder: Option<Writer<W>>,
+    bystander: Bystander,
 }
 
 impl<W: Write> Host<W> {
     /// A host that records to `recorder`, if there is one.
     pub fn new(agent: Agent, recorder: Option<Writer<W>>) -> Self {
-        Self { agent, recorder }
+        Self { agent, recorder, bystander: Bystander::default() }
     }
 
     /// The agent.
     pub fn agent(&self) -> &Agent {
         &self.agent
+    }
+
+    /// Readings that are only compared, never used.
+    pub fn bystander(&self) -> &Bystander {
+        &self.bystander
     }
 
     /// Feeds one event; gives the lines to be sent, with their line ends.
@@ -29,6 +36,9 @@ impl<W: Write> Host<W> {
     ///
     /// When the recording cannot be written. The agent has taken the event all the same.
     pub fn feed(&mut self, event: &Event, now: Arrival) -> io::Result<Vec<Vec<u8>>> {
+        if let Event::Line(line) = event {
+            self.bystander.note(line);
+        }
         let mut written = self.record(now, what_of(event));
         let mut lines = Vec::new();
         for action in self.agent.handle(event, now) {

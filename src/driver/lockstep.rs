@@ -2,6 +2,7 @@
 //! same bytes for the same seed.
 
 use super::host::Host;
+use crate::export::score::Bystander;
 use crate::mission::{Agent, Event};
 use crate::protocol::{Framed, LineSplitter, MAX_LINE_OCTETS};
 use crate::sim::{ConnectionId, Session, Truth};
@@ -76,6 +77,11 @@ impl<W: Write> Lockstep<W> {
     /// The truth about the robot of an agent: for scoring only.
     pub fn truth(&self, index: usize) -> Option<Truth> {
         self.session.truth(self.pairs[index].connection)
+    }
+
+    /// Readings of an agent's session that are only compared.
+    pub fn bystander(&self, index: usize) -> &Bystander {
+        self.pairs[index].host.bystander()
     }
 
     /// The session, for scoring.

@@ -3,3 +3,4 @@
 pub mod host;
 pub mod lockstep;
 pub mod replay;
+pub mod simulated;

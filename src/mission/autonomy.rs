@@ -1,9 +1,10 @@
 //! What the robot does on its own: sweep, choose, drive, recover.
 
+use super::config::AgentConfig;
 use super::operator::Mode;
 use super::pilot::Progress;
-use super::running::{Activity, Desk, Drive, Running, Verdict};
-use crate::acquisition::{ParkState, SweepRequest};
+use super::running::{Activity, Desk, Drive, Look, Running, Verdict};
+use crate::acquisition::{ParkState, Profile, SweepRequest};
 use crate::exploration::Decision;
 use crate::navigation::{CostMap, DriveCommand, RecoveryStep};
 use crate::robot::HeadPose;
@@ -26,10 +27,10 @@ impl Running {
     /// One cycle of whatever is being done.
     pub(super) fn activity_cycle(&mut self, desk: &mut Desk<'_>) -> Verdict {
         match &mut self.activity {
-            Activity::Settle { until, request } => {
+            Activity::Settle { until, look } => {
                 if desk.now >= *until {
-                    let request = request.clone();
-                    self.begin_sweep(request, desk);
+                    let look = look.clone();
+                    self.begin_look(look, desk);
                 } else {
                     self.stop(desk);
                 }
@@ -57,33 +58,40 @@ impl Running {
         Verdict::GoOn
     }
 
-    /// Stands still, then sweeps.
-    pub(super) fn settle(&mut self, request: SweepRequest, desk: &mut Desk<'_>) {
+    /// Stands still, then looks.
+    pub(super) fn settle(&mut self, look: Look, desk: &mut Desk<'_>) {
         self.stop(desk);
         let until = desk.now + Span::from_seconds(desk.config.mission.settle_s);
-        self.activity = Activity::Settle { until, request };
+        self.activity = Activity::Settle { until, look };
     }
 
-    fn begin_sweep(&mut self, request: SweepRequest, desk: &mut Desk<'_>) {
+    fn begin_look(&mut self, look: Look, desk: &mut Desk<'_>) {
         let Some(acquisition) = &mut self.acquisition else {
             self.activity = Activity::Stand;
             return;
         };
         self.activity = Activity::Sweep;
-        let actions = acquisition.start(request, desk.now);
+        let actions = match look {
+            Look::Calibrate => acquisition.calibrate(desk.now),
+            Look::Sweep(request) => acquisition.start(request, desk.now),
+        };
         self.head_actions(actions, desk);
     }
 
     /// The ground fan where the robot stands.
-    pub(super) fn fan(&self) -> Option<SweepRequest> {
+    pub(super) fn fan(&self, config: &AgentConfig) -> Option<SweepRequest> {
         let acquisition = self.acquisition.as_ref()?;
-        Some(SweepRequest::ground_fan(&self.rig.ground_view()?, acquisition.config()))
+        let fan = Profile::ground_fan(&self.rig.ground_view()?, &acquisition.config().fan);
+        Some(match config.mission.flowing_sweeps {
+            true => SweepRequest::flowing(fan),
+            false => SweepRequest::coarse(fan, acquisition.config()),
+        })
     }
 
-    /// After a sweep: the next one that is due, else a choice at the next cycle.
-    pub(super) fn next_sweep_or_choose(&mut self, desk: &mut Desk<'_>) {
+    /// After a look: the next one that is due, else a choice at the next cycle.
+    pub(super) fn next_look_or_choose(&mut self, desk: &mut Desk<'_>) {
         match self.queue.pop_front() {
-            Some(request) => self.settle(request, desk),
+            Some(look) => self.settle(look, desk),
             None if self.mode == Mode::Teleop => self.activity = Activity::Stand,
             None => self.activity = Activity::Rest { until: desk.now },
         }
@@ -143,9 +151,9 @@ impl Running {
         }
         if !self.finest_here {
             self.finest_here = true;
-            if let Some(request) = self.fan() {
+            if let Some(request) = self.fan(desk.config) {
                 desk.info("nothing to go to: looking once more from here");
-                self.settle(request, desk);
+                self.settle(Look::Sweep(request), desk);
                 return Verdict::GoOn;
             }
         }
@@ -250,8 +258,8 @@ impl Running {
 
     /// Stops and sweeps where the robot stands.
     fn look_here(&mut self, desk: &mut Desk<'_>) {
-        match self.fan() {
-            Some(request) => self.settle(request, desk),
+        match self.fan(desk.config) {
+            Some(request) => self.settle(Look::Sweep(request), desk),
             None => {
                 self.stop(desk);
                 self.activity = Activity::Rest { until: desk.now + REST };

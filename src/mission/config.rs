@@ -51,6 +51,9 @@ pub struct MissionConfig {
     pub time_limit_s: f64,
     /// Whether the paper's full sweep of 220 rows is taken at the start.
     pub fine_sweep_at_start: bool,
+    /// Whether the tilt's motion is identified at the start, and exploration sweeps are then taken
+    /// in motion instead of coming to rest at every row.
+    pub flowing_sweeps: bool,
     /// Standing still before a sweep, in seconds, so that the body has come to rest. [0, 10]
     pub settle_s: f64,
     /// Ground beyond the robot's turning circle that is assumed at the start, in metres. [0, 2]
@@ -76,6 +79,7 @@ impl Default for MissionConfig {
             observe: false,
             time_limit_s: 1200.0,
             fine_sweep_at_start: true,
+            flowing_sweeps: true,
             settle_s: 0.6,
             assumed_margin_m: 0.1,
             silence_s: 1.5,

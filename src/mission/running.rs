@@ -55,7 +55,7 @@ impl Desk<'_> {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) enum Activity {
     /// Standing until the body rests, then sweeping.
-    Settle { until: Arrival, request: SweepRequest },
+    Settle { until: Arrival, look: Look },
     /// Sweeping.
     Sweep,
     /// Driving to the explorer's goal.
@@ -66,6 +66,15 @@ pub(super) enum Activity {
     Rest { until: Arrival },
     /// Waiting for an operator.
     Stand,
+}
+
+/// What is done with the head while the robot stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) enum Look {
+    /// Finding out how the tilt moves, so that later sweeps need not wait for it.
+    Calibrate,
+    /// A sweep.
+    Sweep(SweepRequest),
 }
 
 /// A drive to a goal.
@@ -92,8 +101,8 @@ pub struct Running {
     pub(super) grid: Grid,
     pub(super) grid_made: Arrival,
     pub(super) activity: Activity,
-    /// Sweeps to be taken before anything else.
-    pub(super) queue: VecDeque<SweepRequest>,
+    /// What is to be looked at before anything else.
+    pub(super) queue: VecDeque<Look>,
     pub(super) mode: Mode,
     pub(super) lease: DriveLease,
     pub(super) ledger: Ledger,
@@ -186,17 +195,19 @@ impl Running {
         if self.mode == Mode::Teleop {
             return;
         }
-        if desk.config.mission.fine_sweep_at_start {
-            self.queue.push_back(SweepRequest::paper());
+        if desk.config.mission.flowing_sweeps {
+            self.queue.push_back(Look::Calibrate);
         }
-        let fan = SweepRequest::ground_fan(&view, acquisition.config());
-        self.queue.push_back(fan);
+        let paper = SweepRequest::paper(acquisition.config());
         let limits = acquisition.control().head().tilt().and_then(|axis| axis.limits);
-        let lost = self.queue.front().and_then(|first| first.profile.clone().clipped(limits).1);
-        if let Some(lost) = lost {
+        if let Some(lost) = paper.profile.clone().clipped(limits).1 {
             desk.warn(lost.explain(&view));
         }
-        self.next_sweep_or_choose(desk);
+        if desk.config.mission.fine_sweep_at_start {
+            self.queue.push_back(Look::Sweep(paper));
+        }
+        self.queue.extend(self.fan(desk.config).map(Look::Sweep));
+        self.next_look_or_choose(desk);
     }
 
     /// The pose of the robot in the plane.
@@ -371,6 +382,10 @@ impl Running {
                 }
                 HeadAction::Filed { .. } => {}
                 HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
+                HeadAction::Calibrated(report) => {
+                    desk.info(format!("pan-tilt: {}", report.text));
+                    self.next_look_or_choose(desk);
+                }
             }
         }
     }
@@ -418,7 +433,7 @@ impl Running {
         self.refresh_grid(desk.now);
         let pose = self.pose2();
         self.explorer.swept(&self.grid, &pose, std::f64::consts::PI);
-        self.next_sweep_or_choose(desk);
+        self.next_look_or_choose(desk);
     }
 
     /// Measures how high the robot's origin stands above the floor; no message tells it. The belief

@@ -1,7 +1,7 @@
 //! What the robot does at an operator's hand.
 
 use super::operator::{Mode, OperatorEvent};
-use super::running::{Activity, Desk, Running};
+use super::running::{Activity, Desk, Look, Running};
 use crate::acquisition::ParkState;
 use crate::navigation::DriveCommand;
 use crate::robot::HeadPose;
@@ -36,9 +36,9 @@ impl Running {
                 }
             }
             OperatorEvent::ScanNow => {
-                if let Some(request) = self.fan() {
+                if let Some(request) = self.fan(desk.config) {
                     self.lease.release();
-                    self.settle(request, desk);
+                    self.settle(Look::Sweep(request), desk);
                 }
             }
             OperatorEvent::Quit => {}

@@ -1,8 +1,9 @@
+use crate::mission::Placement;
 use crate::time::Arrival;
 use serde::{Deserialize, Serialize};
 
 /// What a recording says about itself before the first entry.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// Seed of the mission; zero where the server is not ours.
     pub seed: u64,
@@ -10,6 +11,8 @@ pub struct Header {
     pub scenario: String,
     /// Effective configuration of the agent as TOML: what a replay runs with.
     pub config: String,
+    /// Where the robot was to be put.
+    pub placement: Placement,
 }
 
 /// One event of a session, in the order in which the agent met it.

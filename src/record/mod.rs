@@ -37,7 +37,12 @@ mod tests {
     use proptest::prelude::*;
 
     fn header() -> Header {
-        Header { seed: 7, scenario: "box".into(), config: "[agent]\n".into() }
+        Header {
+            seed: 7,
+            scenario: "box".into(),
+            config: "[agent]\n".into(),
+            placement: crate::mission::Placement::Start("A".into()),
+        }
     }
 
     fn entry_strategy() -> impl Strategy<Value = Entry> {

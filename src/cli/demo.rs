@@ -1,0 +1,29 @@
+//! `usar demo`: the main job with nothing to install.
+
+use super::files::write_stdout;
+use super::mission::{CommonArguments, Progress, fly, load, summary};
+use anyhow::Result;
+use clap::Args;
+use std::path::Path;
+use std::process::ExitCode;
+
+/// Arguments of `usar demo`.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  usar demo --seed 3 --out run/")]
+pub struct DemoArguments {
+    #[command(flatten)]
+    common: CommonArguments,
+}
+
+/// Runs the verb: one mission in the station.
+///
+/// # Errors
+///
+/// A run folder that cannot be written.
+pub fn run(arguments: &DemoArguments) -> Result<ExitCode> {
+    eprintln!("one autonomous mission in the railway station, with its own simulator");
+    let loaded = load(Path::new("station"), &arguments.common)?;
+    let (report, folder) = fly(loaded, &arguments.common, Progress::Lively)?;
+    write_stdout(&summary(&report, &folder))?;
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,36 @@
+//! Ctrl-C: the first asks a run to end well, the second ends the program.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Whether Ctrl-C was pressed.
+#[derive(Clone, Debug, Default)]
+pub struct Interrupt(Arc<AtomicBool>);
+
+impl Interrupt {
+    /// Whether the run is to end.
+    pub fn is_set(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Watches for Ctrl-C on a thread of its own. Where no signal can be watched, Ctrl-C ends the
+/// program at once, as it would without us.
+pub fn watch() -> Interrupt {
+    let interrupt = Interrupt::default();
+    let flag = interrupt.clone();
+    std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+        let Ok(runtime) = runtime else { return };
+        runtime.block_on(async move {
+            if tokio::signal::ctrl_c().await.is_err() {
+                return;
+            }
+            flag.0.store(true, Ordering::Relaxed);
+            if tokio::signal::ctrl_c().await.is_ok() {
+                std::process::exit(130);
+            }
+        });
+    });
+    interrupt
+}
