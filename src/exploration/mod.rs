@@ -25,6 +25,8 @@ use view::ViewMap;
 pub struct ExploreConfig {
     /// Distance to which a sweep sees ground, in metres. [2, 20]
     pub view_range_m: f64,
+    /// Distance to which a sweep sees ground closely enough to drive on it, in metres. [1, 20]
+    pub close_range_m: f64,
     /// Distance within which a sweep cannot see the ground, in metres. [0, 5]
     pub blind_m: f64,
     /// Angle that a sweep covers about the robot's heading, in radians: π for a tilting laser that
@@ -55,6 +57,7 @@ impl Default for ExploreConfig {
     fn default() -> Self {
         Self {
             view_range_m: 7.0,
+            close_range_m: 5.0,
             blind_m: 1.05,
             field_of_view_rad: std::f64::consts::PI,
             scan_s: 15.0,
@@ -158,6 +161,7 @@ impl Explorer {
             pose,
             field_of_view_rad,
             self.config.blind_m,
+            self.config.close_range_m,
             0.8 * self.config.view_range_m,
         );
         self.looks.note(&looked);

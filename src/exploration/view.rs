@@ -15,6 +15,8 @@ const RAYS: usize = 180;
 const PEEK_M: f64 = 2.5;
 /// Depth of the strip behind the border of the unknown that a sweep should have shown.
 const STRIP_M: f64 = 0.5;
+/// Worth of seeing a piece of ground closely that was only seen sparsely, against unknown ground.
+const SPARSE: f64 = 0.5;
 /// A suspected edge shows whether it is a ramp from this near only.
 const SUSPECT_M: f64 = 1.6;
 
@@ -33,6 +35,8 @@ struct ViewCell {
     factor: u16,
     /// Cells of suspected edges.
     suspect: u8,
+    /// Cells of ground that was seen, but not closely enough to drive on.
+    sparse: u8,
     /// Something high stands here.
     opaque: bool,
     /// Half of it or more is drop-off: what lies beyond belongs to another level.
@@ -98,16 +102,16 @@ impl ViewMap {
             let y = cell.y.div_euclid(COARSE) - low.y;
             let at = (y * width + x) as usize;
             near[at] |= value.reachable;
-            apart[at] |= !value.reachable && value.class == CellClass::Free && grid.fits(cell);
+            apart[at] |= !value.reachable && grid.could_fit(cell);
             match value.class {
                 CellClass::Unknown | CellClass::FlatFree => continue,
                 CellClass::Suspect => cells[at].suspect += 1,
                 CellClass::DropOff => edges[at] += 1,
                 CellClass::Occupied => cells[at].opaque |= value.opaque,
-                CellClass::Free
-                | CellClass::Assumed
-                | CellClass::TooSteep
-                | CellClass::OtherLevel => {}
+                CellClass::Free | CellClass::Assumed => {
+                    cells[at].sparse += u8::from(!value.sure);
+                }
+                CellClass::TooSteep | CellClass::OtherLevel => {}
             }
             cells[at].unknown -= 1;
         }
@@ -149,7 +153,8 @@ impl ViewMap {
             for x in 0..self.width as usize {
                 let cell = &self.cells[y * self.width as usize + x];
                 row += u32::from(cell.unknown) * u32::from(cell.factor)
-                    + 2 * u32::from(cell.suspect) * u32::from(cell.factor);
+                    + 2 * u32::from(cell.suspect) * u32::from(cell.factor)
+                    + u32::from(cell.sparse);
                 sums[(y + 1) * stride + x + 1] = sums[y * stride + x + 1] + row;
             }
         }
@@ -175,7 +180,7 @@ impl ViewMap {
     }
 
     /// Casts rays from a pose and sums what they would newly see.
-    pub fn gain(&mut self, x_m: f64, y_m: f64, blind_m: f64, range_m: f64) -> Gain {
+    pub fn gain(&mut self, x_m: f64, y_m: f64, blind_m: f64, close_m: f64, range_m: f64) -> Gain {
         self.stamp += 1;
         let mut gain = Gain { sectors: [0.0; SECTORS] };
         for ray in 0..RAYS {
@@ -193,6 +198,9 @@ impl ViewMap {
                         fresh += 2.0 * f64::from(cell.suspect) * f64::from(map.worth[at]);
                     }
                     fresh *= f64::from(cell.factor);
+                    if seen.away_m <= close_m {
+                        fresh += SPARSE * f64::from(cell.sparse) * f64::from(map.worth[at]);
+                    }
                 }
                 if fresh > 0.0 {
                     map.stamps[at] = map.stamp;
@@ -210,6 +218,7 @@ impl ViewMap {
         pose: &Pose2,
         field_of_view_rad: f64,
         blind_m: f64,
+        close_m: f64,
         range_m: f64,
     ) -> Vec<CellIndex> {
         self.stamp += 1;
@@ -220,7 +229,11 @@ impl ViewMap {
                 let cell = map.cells[at];
                 let border = cell.unknown > 0 && seen.unknown_m <= STRIP_M;
                 let suspect = cell.suspect > 0 && seen.away_m <= SUSPECT_M;
-                if (border || suspect) && seen.away_m >= blind_m && map.stamps[at] != map.stamp {
+                let sparse = cell.sparse > 0 && seen.away_m <= 0.8 * close_m;
+                if (border || suspect || sparse)
+                    && seen.away_m >= blind_m
+                    && map.stamps[at] != map.stamp
+                {
                     map.stamps[at] = map.stamp;
                     let (x, y) = (at as i32 % map.width, at as i32 / map.width);
                     looked.push(CellIndex { x: x + map.low.x, y: y + map.low.y });
@@ -323,6 +336,7 @@ mod tests {
                     },
                     opaque: wall,
                     room_m: 1.0,
+                    sure: true,
                     ..GridCell::default()
                 }
             })
@@ -333,7 +347,7 @@ mod tests {
     #[test]
     fn the_best_heading_turns_away_from_the_wall() {
         let mut map = ViewMap::new(&disc(), &Looks::default());
-        let gain = map.gain(0.0, 0.0, 1.0, 8.0);
+        let gain = map.gain(0.0, 0.0, 1.0, 3.0, 8.0);
         let (yaw_rad, gain_m2) = gain.best(std::f64::consts::PI, 0.0);
         assert!(yaw_rad.abs() > 2.5, "heading {yaw_rad}");
         assert!(gain_m2 > 10.0, "gain {gain_m2}");
@@ -345,7 +359,7 @@ mod tests {
     #[test]
     fn nothing_is_gained_through_a_wall() {
         let mut map = ViewMap::new(&disc(), &Looks::default());
-        let gain = map.gain(1.2, 0.0, 0.0, 8.0);
+        let gain = map.gain(1.2, 0.0, 0.0, 3.0, 8.0);
         assert!(gain.sectors[0] + gain.sectors[SECTORS - 1] < 0.05, "{:?}", gain.sectors);
     }
 
@@ -356,10 +370,10 @@ mod tests {
         let mut before = f64::INFINITY;
         for _ in 0..4 {
             let mut map = ViewMap::new(&grid, &looks);
-            let total: f64 = map.gain(0.0, 0.0, 1.0, 8.0).sectors.iter().sum();
+            let total: f64 = map.gain(0.0, 0.0, 1.0, 3.0, 8.0).sectors.iter().sum();
             assert!(total < 0.6 * before, "{total} after {before}");
             before = total;
-            let looked = map.looked_at(&Pose2::default(), TAU, 1.0, 6.0);
+            let looked = map.looked_at(&Pose2::default(), TAU, 1.0, 3.0, 6.0);
             looks.note(&looked);
         }
     }

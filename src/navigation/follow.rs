@@ -79,16 +79,8 @@ pub enum Blocked {
 impl std::fmt::Display for Blocked {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::Ahead(conflict) => write!(
-                f,
-                "the path ahead runs into {:?} at cell ({}, {})",
-                conflict.class, conflict.cell.x, conflict.cell.y
-            ),
-            Self::Turning(conflict) => write!(
-                f,
-                "turning would touch {:?} at cell ({}, {})",
-                conflict.class, conflict.cell.x, conflict.cell.y
-            ),
+            Self::Ahead(conflict) => write!(f, "the path ahead runs into {conflict}"),
+            Self::Turning(conflict) => write!(f, "turning would touch {conflict}"),
             Self::OffPath(away_m) => write!(f, "the robot is {away_m:.2} m off its path"),
             Self::NoPath => f.write_str("there is no path"),
         }
@@ -194,9 +186,9 @@ impl Follower {
         self.turning = bearing_rad.abs() > limit_rad;
         let following = FollowStatus::Following { remaining_m };
         if self.turning {
-            return match self.footprint.turn_conflict(grid, pose, bearing_rad) {
-                Some(conflict) => halt(Blocked::Turning(conflict)),
-                None => (self.turn(bearing_rad), following),
+            return match self.footprint.free_turn_rad(grid, pose, bearing_rad) {
+                Err(conflict) => halt(Blocked::Turning(conflict)),
+                Ok(turn_rad) => (self.turn(turn_rad), following),
             };
         }
         let reach_m = pose.distance_m(&target.point()).max(0.1);
@@ -217,11 +209,11 @@ impl Follower {
         if error_rad.abs() <= self.config.goal_yaw_tolerance_rad {
             return (DriveCommand::STOP, FollowStatus::Reached);
         }
-        match self.footprint.turn_conflict(grid, pose, error_rad) {
-            Some(conflict) => {
+        match self.footprint.free_turn_rad(grid, pose, error_rad) {
+            Err(conflict) => {
                 (DriveCommand::STOP, FollowStatus::Blocked(Blocked::Turning(conflict)))
             }
-            None => (self.turn(error_rad), FollowStatus::Following { remaining_m: 0.0 }),
+            Ok(turn_rad) => (self.turn(turn_rad), FollowStatus::Following { remaining_m: 0.0 }),
         }
     }
 

@@ -1,6 +1,7 @@
 use super::Pose2;
 use crate::terrain::{CellClass, CellIndex, Grid, RobotShape};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// Part of the grid's edge margin that the hull itself must keep: the rest is for tracking errors.
 const EDGE_SHARE: f64 = 0.7;
@@ -20,8 +21,32 @@ pub struct Footprint {
 pub struct Conflict {
     /// The cell.
     pub cell: CellIndex,
-    /// What it is.
+    /// What it is. Drivable ground is a conflict where it is not sure
+    /// ([`GridCell::sure`](crate::terrain::GridCell::sure)): a closer look settles it.
     pub class: CellClass,
+}
+
+impl Conflict {
+    /// Whether a sweep from here may make the way safe: the ground is unknown or not sure.
+    pub fn needs_look(&self) -> bool {
+        self.class.is_drivable()
+            || matches!(self.class, CellClass::Unknown | CellClass::Suspect | CellClass::FlatFree)
+    }
+}
+
+impl std::fmt::Display for Conflict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let what = match self.class {
+            CellClass::Free | CellClass::Assumed => "ground seen too sparsely",
+            CellClass::Unknown | CellClass::FlatFree => "ground never seen",
+            CellClass::Occupied => "an obstacle",
+            CellClass::TooSteep => "ground too steep",
+            CellClass::DropOff => "a drop-off",
+            CellClass::Suspect => "a suspected drop-off",
+            CellClass::OtherLevel => "ground of another level",
+        };
+        write!(f, "{what} at cell ({}, {})", self.cell.x, self.cell.y)
+    }
 }
 
 impl Footprint {
@@ -41,10 +66,8 @@ impl Footprint {
     /// the pose is safe.
     pub fn conflict(&self, grid: &Grid, pose: &Pose2) -> Option<Conflict> {
         // The room already holds every margin: with the whole circle inside it nothing can touch.
-        if grid.room_at(pose.x_m, pose.y_m) >= self.circumscribed_m {
-            return None;
-        }
-        let reach_m = self.circumscribed_m + self.edge_margin_m;
+        let roomy = grid.room_at(pose.x_m, pose.y_m) >= self.circumscribed_m;
+        let reach_m = self.circumscribed_m + if roomy { 0.0 } else { self.edge_margin_m };
         let low = grid.cell_of(pose.x_m - reach_m, pose.y_m - reach_m);
         let high = grid.cell_of(pose.x_m + reach_m, pose.y_m + reach_m);
         let (sin, cos) = pose.yaw_rad.sin_cos();
@@ -53,17 +76,22 @@ impl Footprint {
         for y in low.y..=high.y {
             for x in low.x..=high.x {
                 let cell = CellIndex { x, y };
-                let class = grid.get(cell).class;
-                if class.is_drivable() {
-                    continue;
-                }
+                let here = grid.get(cell);
+                let class = here.class;
+                // Ground that is not sure may lie beside the hull, not under it.
+                let margin_m = match class {
+                    _ if class.is_drivable() && here.sure => continue,
+                    _ if class.is_drivable() => -half_cell_m,
+                    _ if roomy => continue,
+                    _ if class.is_edge() => self.edge_margin_m + half_cell_m,
+                    _ => self.margin_m + half_cell_m,
+                };
                 let centre = grid.centre(cell);
                 let (dx, dy) = (centre.x - pose.x_m, centre.y - pose.y_m);
                 let ahead_m = (cos * dx + sin * dy).abs();
                 let aside_m = (cos * dy - sin * dx).abs();
-                let margin_m = if class.is_edge() { self.edge_margin_m } else { self.margin_m };
-                if ahead_m - half_cell_m <= self.half_length_m + margin_m
-                    && aside_m - half_cell_m <= self.half_width_m + margin_m
+                if ahead_m <= self.half_length_m + margin_m
+                    && aside_m <= self.half_width_m + margin_m
                 {
                     let away_m = dx.hypot(dy);
                     if nearest.is_none_or(|(least_m, _)| away_m < least_m) {
@@ -77,13 +105,27 @@ impl Footprint {
 
     /// What stands in the way of turning in place by `turn_rad`, judged every few degrees.
     pub fn turn_conflict(&self, grid: &Grid, pose: &Pose2, turn_rad: f64) -> Option<Conflict> {
-        if grid.room_at(pose.x_m, pose.y_m) >= self.circumscribed_m {
-            return None;
-        }
         let steps = (turn_rad.abs() / 0.07).ceil().max(1.0) as u32;
         (1..=steps).find_map(|step| {
             let turned = pose.driven(0.0, turn_rad * f64::from(step) / f64::from(steps));
             self.conflict(grid, &turned)
         })
+    }
+
+    /// The turn that brings the heading round by `turn_rad`: the short way if it is free, else the
+    /// long way round.
+    ///
+    /// # Errors
+    ///
+    /// What stands in the short way, when both are closed.
+    pub fn free_turn_rad(&self, grid: &Grid, pose: &Pose2, turn_rad: f64) -> Result<f64, Conflict> {
+        let Some(conflict) = self.turn_conflict(grid, pose, turn_rad) else {
+            return Ok(turn_rad);
+        };
+        let other_rad = turn_rad - TAU.copysign(turn_rad);
+        match self.turn_conflict(grid, pose, other_rad) {
+            None => Ok(other_rad),
+            Some(_) => Err(conflict),
+        }
     }
 }

@@ -178,6 +178,36 @@ impl Guard {
     }
 }
 
+impl Guard {
+    /// Makes the ground that a guard line met sure in `grid`, where it lies as the grid has it. Call
+    /// it for every line taken while driving: the robot then rolls only over what its own line has
+    /// swept, or a sweep has seen closely.
+    pub fn confirm(
+        &self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+        world_from_robot: &Isometry3<f64>,
+        grid: &mut Grid,
+    ) {
+        let world_from_sensor = world_from_robot * robot_from_sensor;
+        let origin = Point3::from(world_from_sensor.translation.vector);
+        for beam in 0..line.len() {
+            let Return::Hit(range_m) = line.classify(beam) else { continue };
+            let p = origin + world_from_sensor * line.direction(beam) * range_m;
+            let tolerance_m =
+                0.5 * self.max_step_m + 3.0 * self.config.attitude_sigma_rad * range_m;
+            // Farther out the beams lie too far apart, and the line's height is too uncertain.
+            let met = range_m <= 3.0
+                && grid
+                    .height_at(p.x, p.y)
+                    .is_some_and(|height_m| (p.z - height_m).abs() <= tolerance_m);
+            if met {
+                grid.confirm(p.x, p.y);
+            }
+        }
+    }
+}
+
 /// The nearer of two findings of one kind; of equal ones the first.
 fn nearer(before: Option<GuardVerdict>, found: GuardVerdict) -> Option<GuardVerdict> {
     let ahead = |verdict: &GuardVerdict| match *verdict {

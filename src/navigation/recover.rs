@@ -174,6 +174,7 @@ mod tests {
             class: CellClass::Free,
             height_m: 0.0,
             room_m: 1.5,
+            sure: true,
             reachable: true,
             ..GridCell::default()
         };

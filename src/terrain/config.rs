@@ -76,6 +76,10 @@ pub struct TerrainConfig {
     pub attitude_sigma_rad: f64,
     /// Standard deviation of one row's tilt against the next, in radians. [0, 0.02]
     pub row_sigma_rad: f64,
+    /// Widest hole that may hide between measured ground points where the robot puts its wheels, in
+    /// metres: interpolated ground with no measured point within half of it is not driven on until
+    /// it was seen more closely. A hull longer than this does not fall in. [0.05, 1]
+    pub sure_gap_m: f64,
     /// Distance up to which a ground point counts for coverage, in metres. [1, 20]
     pub coverage_range_m: f64,
     /// Air kept beside obstacles, beyond the hull, in metres. [0, 0.5]
@@ -101,6 +105,7 @@ impl Default for TerrainConfig {
             height_sigma_m: 0.01,
             attitude_sigma_rad: 0.004,
             row_sigma_rad: 0.0015,
+            sure_gap_m: 0.36,
             coverage_range_m: 8.0,
             obstacle_margin_m: 0.03,
             edge_margin_m: 0.15,

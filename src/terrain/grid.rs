@@ -67,6 +67,11 @@ pub struct GridCell {
     /// Radius of the largest disc about the centre that keeps all margins, metres, at most
     /// [`Grid::MAX_ROOM_M`]; zero or less where nothing fits.
     pub room_m: f32,
+    /// The same for obstacles and edges alone: what would be there if all unknown ground were good.
+    pub hard_room_m: f32,
+    /// Whether ground was measured so close by that no hole that matters can hide here. Drivable
+    /// ground that is not sure is not driven on before it was seen more closely.
+    pub sure: bool,
     /// Whether the robot can be driven here from where it stands, as far as its inscribed circle says.
     pub reachable: bool,
     /// Whether the cell holds something high enough to hide the ground behind it.
@@ -80,6 +85,8 @@ impl Default for GridCell {
             height_m: f32::NAN,
             slope: 0.0,
             room_m: 0.0,
+            hard_room_m: 0.0,
+            sure: false,
             reachable: false,
             opaque: false,
         }
@@ -95,6 +102,7 @@ pub struct Grid {
     pub(super) cells: Vec<GridCell>,
     pub(super) robot: CellIndex,
     pub(super) inscribed_m: f64,
+    pub(super) sure_m: f64,
 }
 
 impl Grid {
@@ -112,7 +120,7 @@ impl Grid {
     /// When the cells do not fill whole rows.
     pub fn from_cells(cell_m: f64, low: CellIndex, width: usize, cells: Vec<GridCell>) -> Self {
         assert!(width > 0 && cells.len().is_multiple_of(width), "cells must fill whole rows");
-        Self { cell_m, low, width, cells, robot: low, inscribed_m: 0.0 }
+        Self { cell_m, low, width, cells, robot: low, inscribed_m: 0.0, sure_m: 0.18 }
     }
 
     /// Side of a cell in metres.
@@ -209,10 +217,35 @@ impl Grid {
         }
     }
 
+    /// Makes drivable ground sure about a point at which ground was measured since the grid was made.
+    pub fn confirm(&mut self, x_m: f64, y_m: f64) {
+        let low = self.cell_of(x_m - self.sure_m, y_m - self.sure_m);
+        let high = self.cell_of(x_m + self.sure_m, y_m + self.sure_m);
+        for y in low.y..=high.y {
+            for x in low.x..=high.x {
+                let cell = CellIndex { x, y };
+                let centre = self.centre(cell);
+                let within = (centre.x - x_m).hypot(centre.y - y_m) <= self.sure_m;
+                if let Some(index) = self.index(cell)
+                    && within
+                    && self.cells[index].class.is_drivable()
+                {
+                    self.cells[index].sure = true;
+                }
+            }
+        }
+    }
+
     /// Whether the robot's centre may be in a cell, as far as its inscribed circle says.
     pub fn fits(&self, cell: CellIndex) -> bool {
         let here = self.get(cell);
         here.class.is_drivable() && f64::from(here.room_m) >= self.needed_room_m(cell)
+    }
+
+    /// Whether the robot would fit in a drivable cell if all unknown ground about it were good.
+    pub fn could_fit(&self, cell: CellIndex) -> bool {
+        let here = self.get(cell);
+        here.class.is_drivable() && f64::from(here.hard_room_m) >= self.inscribed_m
     }
 
     /// The grid with `factor` × `factor` cells made one, for files with larger cells. What is worst
@@ -246,6 +279,7 @@ impl Grid {
                 y: self.robot.y.div_euclid(factor),
             },
             inscribed_m: self.inscribed_m,
+            sure_m: self.sure_m,
         }
     }
 

@@ -25,7 +25,7 @@ pub use grid::{CellClass, Grid, GridCell, Trinary};
 pub use lattice::CellIndex;
 pub use surface::{Seen, Surface, Void};
 
-use crate::scan::{LaserLine, RangeImage, Return};
+use crate::scan::{ImageRow, LaserLine, RangeImage, Return};
 use fan::{Fan, FloorPlane, Sample};
 use lattice::Lattice;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -86,27 +86,29 @@ impl Terrain {
     /// count as explored.
     pub fn assume(&mut self, world_from_robot: &Isometry3<f64>, radius_m: f64) {
         let floor = FloorPlane::under(world_from_robot, &self.shape);
-        self.assume_where(&floor, radius_m, |_, _| true);
+        self.stand_on(&floor, radius_m, Seen::Assumed, |_, _| true);
     }
 
-    /// Takes the hull's own footprint for ground: the robot stands on it.
+    /// Takes the hull's own footprint for ground: the robot stands on it ([`Seen::Driven`]).
     ///
-    /// Call it along the way; it keeps the robot's own track drivable where the laser could not look.
-    pub fn assume_footprint(&mut self, world_from_robot: &Isometry3<f64>) {
+    /// Call it along the way; it keeps the robot's own track drivable where the laser could not look,
+    /// and makes sure what was only interpolated.
+    pub fn drive_over(&mut self, world_from_robot: &Isometry3<f64>) {
         let floor = FloorPlane::under(world_from_robot, &self.shape);
         let robot_from_world = world_from_robot.inverse();
         let (half_length_m, half_width_m) = (0.5 * self.shape.length_m, 0.5 * self.shape.width_m);
         let radius_m = self.shape.circumscribed_radius_m();
-        self.assume_where(&floor, radius_m, |x, y| {
+        self.stand_on(&floor, radius_m, Seen::Driven, |x, y| {
             let p = robot_from_world * Point3::new(x, y, floor.z_at(x, y));
             p.x.abs() <= half_length_m && p.y.abs() <= half_width_m
         });
     }
 
-    fn assume_where(
+    fn stand_on(
         &mut self,
         floor: &FloorPlane,
         radius_m: f64,
+        seen: Seen,
         within: impl Fn(f64, f64) -> bool,
     ) {
         let cell_m = self.config.cell_m;
@@ -124,7 +126,7 @@ impl Terrain {
                     z_m: floor.z_at(cx, cy),
                     sigma_m: 0.05,
                     distance_m: away_m,
-                    seen: Seen::Assumed,
+                    seen,
                     scan: self.scans,
                 });
             }
@@ -169,7 +171,7 @@ impl Terrain {
             self.lattice.ground(cell).is_some_and(|ground| {
                 ground
                     .nearest(p.z, 0.5 * self.shape.max_step_m + 2.0 * sigma_m)
-                    .is_some_and(|surface| surface.seen != Seen::Assumed)
+                    .is_some_and(|surface| surface.seen >= Seen::Interpolated)
             })
         })
     }
@@ -335,6 +337,27 @@ impl Terrain {
     fn add_flat(&mut self, cell: CellIndex, tenths: i8) {
         let (chunk, place) = lattice::split(cell);
         self.lattice.chunk_or_new(chunk).add_flat(place, tenths);
+    }
+
+    /// Takes in one line of a parked, tilted laser: the guard line that sweeps the ground while the
+    /// robot drives. Its points count as ground where they lie on the plane the robot stands on or on
+    /// ground known before; what stands above is an obstacle.
+    pub fn integrate_guard_line(
+        &mut self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+        world_from_robot: &Isometry3<f64>,
+    ) -> Integrated {
+        let bearings_rad = (0..line.len()).map(|beam| line.bearing_rad(beam)).collect();
+        let mut image = RangeImage::new(*robot_from_sensor, bearings_rad, line.max_range_m);
+        let row = ImageRow {
+            tilt_rad: 0.0,
+            tilt_sigma_rad: 0.0,
+            scan_from_sensor: Isometry3::identity(),
+            stamp: Some(line.stamp),
+        };
+        image.push_line(row, line);
+        self.integrate(&image, world_from_robot)
     }
 
     /// Forgets everything and takes in `images` again, each with its corrected pose: for use after a

@@ -45,46 +45,50 @@ impl Terrain {
             cells: level.classify(),
             robot,
             inscribed_m: self.shape.inscribed_radius_m(),
+            sure_m: 0.5 * self.config.sure_gap_m,
         };
+        level.mark_sure(&mut grid);
         self.measure_room(&mut grid);
         mark_reachable(&mut grid);
         grid
     }
 
     fn measure_room(&self, grid: &mut Grid) {
-        let cell_m = grid.cell_m;
+        let (cell_m, config) = (grid.cell_m, &self.config);
         let cap = (Grid::MAX_ROOM_M / cell_m) as f32 + 8.0;
-        let mut room = vec![f32::INFINITY; grid.cells.len()];
-        let mut narrow = |is_seed: &dyn Fn(CellClass) -> bool, margin_m: f64| {
-            let seeds: Vec<bool> = grid.cells.iter().map(|cell| is_seed(cell.class)).collect();
+        let away_m = |is_seed: &dyn Fn(&GridCell) -> bool, margin_m: f64| -> Vec<f32> {
+            let seeds: Vec<bool> = grid.cells.iter().map(is_seed).collect();
             // A seed may begin half a cell before its centre.
             let lost_m = (margin_m + 0.5 * cell_m) as f32;
-            for (room, away) in room.iter_mut().zip(distances(&seeds, grid.width, cap)) {
-                *room = room.min(away * cell_m as f32 - lost_m);
-            }
+            let away = distances(&seeds, grid.width, cap);
+            away.into_iter().map(|away| away * cell_m as f32 - lost_m).collect()
         };
-        let config = &self.config;
-        narrow(
-            &|class| matches!(class, CellClass::Occupied | CellClass::TooSteep),
+        let obstacles = away_m(
+            &|cell| matches!(cell.class, CellClass::Occupied | CellClass::TooSteep),
             config.obstacle_margin_m,
         );
-        narrow(&CellClass::is_edge, config.edge_margin_m);
+        let edges = away_m(&|cell| cell.class.is_edge(), config.edge_margin_m);
         let flat_floor = config.flat_floor;
-        narrow(
-            &move |class| match class {
+        let unknown = away_m(
+            &move |cell| match cell.class {
                 CellClass::Unknown | CellClass::OtherLevel => true,
                 CellClass::FlatFree => !flat_floor,
                 _ => false,
             },
             config.unknown_margin_m,
         );
+        let sparse = away_m(&|cell| cell.class.is_drivable() && !cell.sure, 0.0);
         let (width, height) = (grid.width, grid.height());
-        for (at, (cell, room)) in grid.cells.iter_mut().zip(room).enumerate() {
+        for (at, cell) in grid.cells.iter_mut().enumerate() {
             // What lies outside the grid is unknown too.
             let (x, y) = (at % width, at / width);
             let border = x.min(y).min(width - 1 - x).min(height - 1 - y) + 1;
             let border_m = border as f64 * cell_m - 0.5 * cell_m - config.unknown_margin_m;
-            cell.room_m = f64::from(room).min(border_m).clamp(-1.0, Grid::MAX_ROOM_M) as f32;
+            let clamp = |room_m: f64| room_m.clamp(-1.0, Grid::MAX_ROOM_M) as f32;
+            let hard_m = f64::from(obstacles[at].min(edges[at]));
+            cell.hard_room_m = clamp(hard_m);
+            let soft_m = f64::from(unknown[at].min(sparse[at]));
+            cell.room_m = clamp(hard_m.min(soft_m).min(border_m));
         }
     }
 }
@@ -246,7 +250,8 @@ impl<'a> Level<'a> {
             .iter()
             .map(|surface| ((f64::from(surface.z_m) - from_m).abs(), surface))
             .filter(|(rise_m, surface)| {
-                let assumed = surface.seen == Seen::Assumed || self.seen[at] == Seen::Assumed;
+                let guessed = |seen: Seen| matches!(seen, Seen::Assumed | Seen::Driven);
+                let assumed = guessed(surface.seen) || guessed(self.seen[at]);
                 let noise_m = (2.0 * f64::from(surface.sigma_m)).min(0.03);
                 *rise_m <= if assumed { ASSUMED_STEP_M } else { max_step_m + noise_m }
             })
@@ -355,6 +360,19 @@ impl<'a> Level<'a> {
         1.1 * self.terrain.shape.max_slope_rad.tan() + 0.02
     }
 
+    /// Ground is sure where a measured point of the level is near enough.
+    fn mark_sure(&self, grid: &mut Grid) {
+        let flat = self.terrain.config.flat_floor;
+        let seeds: Vec<bool> = (0..self.z_m.len())
+            .map(|at| !self.z_m[at].is_nan() && (self.seen[at] != Seen::Interpolated || flat))
+            .collect();
+        let reach = (grid.sure_m / grid.cell_m) as f32 + 1e-3;
+        let away = distances(&seeds, grid.width, reach + 1.0);
+        for (cell, away) in grid.cells.iter_mut().zip(away) {
+            cell.sure = away <= reach && cell.class.is_drivable();
+        }
+    }
+
     fn class(&self, at: usize, near_m: f64) -> CellClass {
         if !self.z_m[at].is_nan() {
             return if self.seen[at] == Seen::Assumed {
@@ -429,7 +447,7 @@ impl<'a> Level<'a> {
             for x in x0.saturating_sub(2)..(x0 + 3).min(self.width) {
                 let beside = y * self.width + x;
                 let z = self.z_m[beside] - centre_m;
-                if z.is_nan() || self.seen[beside] == Seen::Assumed {
+                if z.is_nan() || matches!(self.seen[beside], Seen::Assumed | Seen::Driven) {
                     continue;
                 }
                 let (dx, dy, z) = (x as f64 - x0 as f64, y as f64 - y0 as f64, f64::from(z));

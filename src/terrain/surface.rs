@@ -12,6 +12,8 @@ pub enum Seen {
     Assumed,
     /// Between two measured ground points of one scan whose spacing a plane explains.
     Interpolated,
+    /// The robot stood on it while driving; never measured.
+    Driven,
     /// A measured point lies in the cell.
     Measured,
 }
@@ -126,7 +128,8 @@ impl GroundCell {
     fn matching(&self, seen: &Observation) -> Option<usize> {
         let mut best = None;
         for (index, surface) in self.surfaces().iter().enumerate() {
-            let gate_m = if surface.seen == Seen::Assumed || seen.seen == Seen::Assumed {
+            let guessed = |seen: Seen| matches!(seen, Seen::Assumed | Seen::Driven);
+            let gate_m = if guessed(surface.seen) || guessed(seen.seen) {
                 OTHER_SURFACE_M
             } else {
                 let sigma_m = seen.sigma_m.hypot(f64::from(surface.sigma_m));
@@ -181,7 +184,7 @@ impl GroundCell {
             let surface = &mut self.surfaces[index];
             let high_m = f64::from(surface.z_m) - 0.10 - 2.0 * f64::from(surface.sigma_m);
             let gone = match surface.seen {
-                Seen::Assumed => false,
+                Seen::Assumed | Seen::Driven => false,
                 Seen::Interpolated => passed(high_m - 0.25, high_m),
                 Seen::Measured => {
                     surface.scan != scan && passed(high_m - 0.25, high_m) && surface.contest(scan)

@@ -4,10 +4,10 @@ use super::world::{Laser, SENSOR_HEIGHT, World, pose, robot_from_scan, scan_from
 use nalgebra::Isometry3;
 use usar_agent::exploration::{Decision, ExploreConfig, Explorer};
 use usar_agent::navigation::{
-    CostMap, FollowConfig, FollowStatus, Follower, Guard, GuardConfig, PlanConfig, Planner, Pose2,
-    Trail,
+    Blocked, CostMap, FollowConfig, FollowStatus, Follower, Guard, GuardConfig, PlanConfig,
+    PlanError, Planner, Pose2, Trail,
 };
-use usar_agent::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
+use usar_agent::terrain::{CellClass, Grid, RobotShape, Terrain, TerrainConfig};
 use usar_agent::time::Arrival;
 
 /// How far ahead of the sensor the parked line meets level ground.
@@ -24,10 +24,12 @@ pub struct Robot {
     pub trail: Trail,
     pub guard: Guard,
     pub pose: Pose2,
+    pub began: Pose2,
     pub grid: Grid,
     pub pans: Vec<f64>,
     pub tilts: Vec<f64>,
     pub seconds: f64,
+    last_stop: Option<nalgebra::Point2<f64>>,
     pub sweeps: usize,
     pub driven: f64,
     pub events: Vec<String>,
@@ -56,9 +58,11 @@ impl Robot {
             laser,
             shape,
             pose: start,
+            began: start,
             pans,
             tilts,
             seconds: 0.0,
+            last_stop: None,
             sweeps: 0,
             driven: 0.0,
             events: Vec::new(),
@@ -141,12 +145,26 @@ impl Robot {
                 return false;
             }
         };
+        self.events.push(format!(
+            "go ({:.2}, {:.2}, {:.2}) from ({:.2}, {:.2}, {:.2}) gain {:.2} {}s",
+            choice.goal.x_m,
+            choice.goal.y_m,
+            choice.goal.yaw_rad,
+            self.pose.x_m,
+            self.pose.y_m,
+            self.pose.yaw_rad,
+            choice.gain_m2,
+            choice.seconds as i32
+        ));
         let path = self.planner.plan(&self.grid, &costs, &self.pose, choice.cell);
         match path {
             Ok(path) => self.drive(path.with_goal_yaw(choice.goal.yaw_rad)),
             Err(error) => {
                 self.events.push(format!("plan: {error}"));
                 self.explorer.give_up(&error.to_string(), now);
+                if matches!(error, PlanError::StartBlocked { .. }) {
+                    self.back_out();
+                }
                 return true;
             }
         }
@@ -164,27 +182,22 @@ impl Robot {
                     return;
                 }
                 FollowStatus::Blocked(reason) => {
-                    self.events.push(format!(
-                        "blocked at ({:.2}, {:.2}): {reason}",
-                        self.pose.x_m, self.pose.y_m
-                    ));
-                    let now = self.now();
-                    self.explorer.give_up(&reason.to_string(), now);
+                    let look = match reason {
+                        Blocked::Ahead(conflict) | Blocked::Turning(conflict) => {
+                            conflict.needs_look()
+                        }
+                        Blocked::OffPath(_) | Blocked::NoPath => true,
+                    };
+                    self.stopped(&reason.to_string(), look);
                     return;
                 }
                 FollowStatus::Following { .. } => {}
             }
-            if command.linear_mps > 0.0 {
-                let verdict = self.guard_line();
-                if !verdict.is_clear() {
-                    self.events.push(format!(
-                        "guard at ({:.2}, {:.2}): {verdict:?}",
-                        self.pose.x_m, self.pose.y_m
-                    ));
-                    let now = self.now();
-                    self.explorer.give_up("guard line", now);
-                    return;
-                }
+            // The tilt is parked while the robot drives, and its line is read all along.
+            let verdict = self.guard_line();
+            if command.linear_mps > 0.0 && !verdict.is_clear() {
+                self.stopped(&format!("guard line: {verdict:?}"), true);
+                return;
             }
             command = command.limited(0.7, 1.0);
             let dt = 0.2;
@@ -198,11 +211,39 @@ impl Robot {
             self.seconds += dt;
             self.trail.note(&self.pose);
             let body = self.body();
-            self.terrain.assume_footprint(&body);
+            self.terrain.drive_over(&body);
         }
         self.events.push("drive took too long".into());
         let now = self.now();
         self.explorer.give_up("too slow", now);
+    }
+
+    /// Something stopped the robot. Where a look may help, the goal is kept for one more try.
+    fn stopped(&mut self, reason: &str, look: bool) {
+        let at = self.pose.point();
+        self.events.push(format!("stopped at ({:.2}, {:.2}): {reason}", at.x, at.y));
+        let again = self.last_stop.is_some_and(|last| (last - at).norm() < 0.1);
+        self.last_stop = Some(at);
+        if again || !look {
+            let now = self.now();
+            self.explorer.give_up(reason, now);
+            self.back_out();
+        }
+    }
+
+    /// Half a metre back over the own track.
+    fn back_out(&mut self) {
+        let from = self.pose.point();
+        for _ in 0..40 {
+            if self.pose.distance_m(&from) > 0.5 {
+                break;
+            }
+            let Some(command) = self.trail.back_out(&self.pose, 0.15, 0.5) else { break };
+            self.pose = self.pose.driven(0.2 * command.linear_mps, 0.2 * command.angular_rps);
+            self.check();
+            self.trail.note(&self.pose);
+            self.seconds += 0.2;
+        }
     }
 
     fn guard_line(&mut self) -> usar_agent::navigation::GuardVerdict {
@@ -210,6 +251,8 @@ impl Robot {
         let tilt = (SENSOR_HEIGHT / GUARD_AHEAD).atan();
         let robot_from_sensor = robot_from_scan() * scan_from_sensor(0.0, tilt);
         let line = self.laser.line(&self.world, &(body * robot_from_sensor));
+        self.terrain.integrate_guard_line(&line, &robot_from_sensor, &body);
+        self.guard.confirm(&line, &robot_from_sensor, &body, &mut self.grid);
         self.guard.judge(&line, &robot_from_sensor, Some((&body, &self.grid)))
     }
 
@@ -240,8 +283,78 @@ impl Robot {
         }
     }
 
+    /// Share of the 0.1 m cells that the robot's centre can be driven to on the true world that the
+    /// grid calls free or occupied, with a measured ground point within 0.3 m.
+    pub fn coverage(&self) -> f64 {
+        const SIDE: i32 = 300;
+        let world = &self.world;
+        let centre = |cell: i32| 0.1 * (f64::from(cell) - 50.0) + 0.05;
+        let floor = |x: f64, y: f64, z: f64| world.floor_below(x, y, z + self.shape.height_m);
+        // From the middle outwards no step of more than 0.06 m and no slope of more than 20°.
+        let stands = |x: f64, y: f64, z: f64| {
+            (0..16).all(|k| {
+                let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_8).sin_cos();
+                let mut before = z;
+                (1..=6).all(|step| {
+                    let r = 0.05 * f64::from(step);
+                    floor(x + r * cos, y + r * sin, z).is_some_and(|under| {
+                        let rise = (under - before).abs();
+                        before = under;
+                        rise <= 0.06 && (under - z).abs() <= 0.06 + 0.36 * r
+                    })
+                })
+            })
+        };
+        let mut heights = vec![f64::NAN; (SIDE * SIDE) as usize];
+        let cell_of = |v: f64| ((v / 0.1).floor() as i32) + 50;
+        let start = cell_of(self.began.y_m) * SIDE + cell_of(self.began.x_m);
+        heights[start as usize] = 0.0;
+        let mut open = vec![start];
+        let (mut reachable, mut explored) = (0, 0);
+        let covered: std::collections::BTreeSet<(i32, i32)> = self
+            .terrain
+            .measured_ground()
+            .map(|(cell, _)| (cell.x.div_euclid(2), cell.y.div_euclid(2)))
+            .collect();
+        let coarse = self.grid.coarse(2);
+        while let Some(at) = open.pop() {
+            let (i, j) = (at % SIDE, at / SIDE);
+            let (x, y, z) = (centre(i), centre(j), heights[at as usize]);
+            reachable += 1;
+            let class = coarse.class_at(x, y);
+            let known = class.is_drivable()
+                || matches!(class, CellClass::Occupied | CellClass::DropOff | CellClass::TooSteep);
+            let cell = coarse.cell_of(x, y);
+            let near =
+                (-3..=3).any(|dy| (-3..=3).any(|dx| covered.contains(&(cell.x + dx, cell.y + dy))));
+            explored += i32::from(known && near);
+            for (di, dj) in [(1, 0), (-1, 0), (0, 1), (0, -1)] {
+                let (i, j) = (i + di, j + dj);
+                if !(0..SIDE).contains(&i) || !(0..SIDE).contains(&j) {
+                    continue;
+                }
+                let beside = (j * SIDE + i) as usize;
+                if !heights[beside].is_nan() {
+                    continue;
+                }
+                if let Some(under) = floor(centre(i), centre(j), z)
+                    && (under - z).abs() <= 0.06
+                    && stands(centre(i), centre(j), under)
+                {
+                    heights[beside] = under;
+                    open.push(beside as i32);
+                }
+            }
+        }
+        f64::from(explored) / f64::from(reachable)
+    }
+
     fn violate(&mut self, what: &str) {
-        if self.violations.len() < 5 {
+        if self.violations.is_empty() {
+            let window = super::edges::draw_around(&self.grid, self.pose.x_m, self.pose.y_m, 1.2);
+            self.violations.push(window);
+        }
+        if self.violations.len() < 4 {
             self.violations.push(format!("{what} with the robot at {:?}", self.pose));
         }
     }

@@ -2,7 +2,7 @@
 
 use super::world::{Laser, Solid, World, coarse_tilts, paper_tilts, pose, tilted_pose};
 use nalgebra::Isometry3;
-use usar_agent::terrain::{CellClass, Grid, RobotShape, Terrain, TerrainConfig};
+use usar_agent::terrain::{CellClass, CellIndex, Grid, RobotShape, Terrain, TerrainConfig};
 
 fn terrain() -> Terrain {
     Terrain::new(TerrainConfig::default(), RobotShape::default())
@@ -19,10 +19,26 @@ fn count(grid: &Grid, mut within: impl FnMut(f64, f64, CellClass) -> bool) -> us
 
 /// Prints the grid as text: for looking at a failure.
 pub fn draw(grid: &Grid) -> String {
+    let low = grid.low();
+    let high = (low.x + grid.width() as i32, low.y + grid.height() as i32);
+    draw_cells(grid, (low.x, low.y), high)
+}
+
+/// Prints the cells within `reach` of a point, the point itself as `R`.
+pub fn draw_around(grid: &Grid, x: f64, y: f64, reach: f64) -> String {
+    let (low, high) = (grid.cell_of(x - reach, y - reach), grid.cell_of(x + reach, y + reach));
+    let mut text = draw_cells(grid, (low.x, low.y), (high.x, high.y));
+    let at = grid.cell_of(x, y);
+    let place = (high.y - 1 - at.y) * (high.x - low.x + 1) + at.x - low.x;
+    text.replace_range(place as usize..=place as usize, "R");
+    text
+}
+
+fn draw_cells(grid: &Grid, low: (i32, i32), high: (i32, i32)) -> String {
     let mut text = String::new();
-    for y in (0..grid.height()).rev() {
-        for x in 0..grid.width() {
-            let cell = grid.cells()[y * grid.width() + x];
+    for y in (low.1..high.1).rev() {
+        for x in low.0..high.0 {
+            let cell = grid.get(CellIndex { x, y });
             text.push(match cell.class {
                 CellClass::Unknown => ' ',
                 CellClass::Free if cell.reachable => '.',
@@ -79,7 +95,7 @@ fn swept(world: &World, poses: &[Isometry3<f64>], tilts: &[f64], sigma: f64) -> 
     for at in poses {
         let image = laser.sweep(world, at, &[0.0], tilts);
         terrain.integrate(&image, at);
-        terrain.assume_footprint(at);
+        terrain.drive_over(at);
     }
     terrain.project(&poses[poses.len() - 1])
 }

@@ -153,8 +153,7 @@ pub fn coarse_tilts(steepest_deg: f64, ring: f64) -> Vec<f64> {
     let mut away = SENSOR_HEIGHT / steepest_deg.to_radians().tan();
     while away < 8.0 {
         tilts.push((SENSOR_HEIGHT / away).atan());
-        // Near rings fall closer together: what is near can be seen well.
-        away += ring.min(0.08 + 0.12 * away);
+        away += ring;
     }
     for up_deg in [-1.5, 0.0, 1.5, 3.0, -6.0, -12.0] {
         tilts.push(f64::to_radians(up_deg));
