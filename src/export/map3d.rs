@@ -28,7 +28,7 @@ pub fn draw(
     add_path(&mut bounds, trajectory, 1.0, Colour::BLACK);
     let (low, high) =
         bounds.bounds().unwrap_or((Point3::new(-1.0, -1.0, 0.0), Point3::new(1.0, 1.0, 1.0)));
-    let camera = Camera::around(low, high, -1.9, 0.75);
+    let camera = closest(low, high, -1.9, 0.75);
     for landmark in landmarks {
         let normal = landmark.normal();
         let towards_eye = camera.eye - landmark.origin();
@@ -46,6 +46,36 @@ pub fn draw(
                   drop-offs; blue line: path";
     canvas.text(12.0, 10.0, 1, legend, Colour::BLACK);
     canvas
+}
+
+/// The camera from a direction that shows the box `low..high` as large as the picture allows.
+fn closest(low: Point3<f64>, high: Point3<f64>, azimuth_rad: f64, elevation_rad: f64) -> Camera {
+    let wide = Camera::around(low, high, azimuth_rad, elevation_rad);
+    let corner = |i: usize| {
+        let pick = |bit: usize, a: f64, b: f64| if i >> bit & 1 == 0 { a } else { b };
+        Point3::new(pick(0, low.x, high.x), pick(1, low.y, high.y), pick(2, low.z, high.z))
+    };
+    let fits = |camera: &Camera| {
+        (0..8).all(|i| {
+            camera.pixel(&corner(i), WIDTH, HEIGHT).is_some_and(|p| {
+                let (margin, top) = (20.0, 30.0);
+                (margin..WIDTH as f64 - margin).contains(&p.x)
+                    && (top..HEIGHT as f64 - margin).contains(&p.y)
+            })
+        })
+    };
+    let at = |share: f64| Camera { eye: wide.target + (wide.eye - wide.target) * share, ..wide };
+    // The nearest that fits, by halving between too near and the one that certainly fits.
+    let (mut near, mut far) = (0.05, 1.0);
+    for _ in 0..20 {
+        let middle = 0.5 * (near + far);
+        if fits(&at(middle)) {
+            far = middle;
+        } else {
+            near = middle;
+        }
+    }
+    at(far)
 }
 
 /// Drop-offs as red squares at the height of the ground beside them.

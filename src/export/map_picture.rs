@@ -67,10 +67,14 @@ pub fn draw(grid: &Grid, overlay: &Overlay) -> Canvas {
         view.height_px() as f64 - 2.0 * MARGIN_PX,
         class_colour(CellClass::Unknown),
     );
-    let side = grid.cell_m() * view.scale;
+    let half = 0.5 * grid.cell_m() * view.scale;
     for (cell, what) in grid.iter().filter(|(_, what)| what.class != CellClass::Unknown) {
-        let corner = view.pixel(grid.centre(cell)) - Vector2::new(0.5 * side, 0.5 * side);
-        canvas.rectangle_fill(corner.x, corner.y, side, side, class_colour(what.class));
+        // Whole pixels from edge to edge: neighbours meet without a seam.
+        let centre = view.pixel(grid.centre(cell));
+        let (left, right) = ((centre.x - half).round(), (centre.x + half).round());
+        let (top, bottom) = ((centre.y - half).round(), (centre.y + half).round());
+        let colour = class_colour(what.class);
+        canvas.rectangle_fill(left, top, (right - left).max(1.0), (bottom - top).max(1.0), colour);
     }
     draw_metre_grid(&mut canvas, &view);
     draw_overlay(&mut canvas, &view, overlay);

@@ -6,7 +6,7 @@ use super::pilot::Progress;
 use super::running::{Activity, Desk, Drive, Look, Running, Verdict};
 use crate::acquisition::{ParkState, Profile, SweepRequest};
 use crate::exploration::Decision;
-use crate::navigation::{CostMap, DriveCommand, RecoveryStep};
+use crate::navigation::{CostMap, DriveCommand, RecoveryStep, Trouble};
 use crate::robot::HeadPose;
 use crate::terrain::CellClass;
 use crate::time::{Arrival, Span};
@@ -16,6 +16,9 @@ const TRIES: usize = 6;
 
 /// Times a path may be planned anew before the goal is given up.
 const REPLANS: u32 = 4;
+
+/// Goals given up in one place, one after the other, that show the robot wedged in.
+const WEDGED: u32 = 2;
 
 /// Rest after nothing could be planned, so that what moves may move on.
 const REST: Span = Span::from_millis(2_000);
@@ -284,10 +287,18 @@ impl Running {
         desk.info(format!("goal given up: {reason}"));
         self.explorer.give_up(reason, desk.now);
         self.give_ups += 1;
-        // Having moved, a fresh look is worth its time; else another goal is.
-        if self.belief.leg_m() > 0.5 || self.give_ups >= 3 {
+        if self.belief.leg_m() > 0.5 {
+            // Having moved, a fresh look is worth its time.
             self.give_ups = 0;
             self.look_here(desk);
+        } else if self.give_ups >= WEDGED {
+            self.give_ups = 0;
+            desk.warn("wedged in: backing out over the own track");
+            let trouble = Trouble::Stuck { commanded: 0.0, moved: 0.0 };
+            self.ledger.troubles += 1;
+            let pose = self.pose2();
+            let recovery = self.pilot.recover(desk.config, &trouble, &pose, desk.now);
+            self.activity = Activity::Recover { recovery: Box::new(recovery), gave_up: 0 };
         } else {
             self.activity = Activity::Rest { until: desk.now };
         }

@@ -228,7 +228,7 @@ impl Belief {
         if moved || self.leg.poses.is_empty() {
             self.leg.poses.push((stamp, self.keyframe_from_robot, self.leg.path_m));
             let pose = self.world_from_robot();
-            self.live.assume_footprint(&pose);
+            self.live.drive_over(&pose);
         }
     }
 
@@ -390,7 +390,7 @@ impl Belief {
             }
             for (_, pose, way_m) in &leg.poses {
                 let pose = keyframes[anchor] * tie(bent(pose, *way_m));
-                self.settled.assume_footprint(&pose);
+                self.settled.drive_over(&pose);
             }
             self.archive.append(&mut fresh);
         }
@@ -413,7 +413,7 @@ impl Belief {
         self.settled.rebuild(self.archive.iter().map(|item| &item.image).zip(&poses));
         self.settled.assume(&self.start, self.assumed_radius_m);
         for point in &self.track {
-            self.settled.assume_footprint(&(keyframes[point.keyframe] * point.keyframe_from_robot));
+            self.settled.drive_over(&(keyframes[point.keyframe] * point.keyframe_from_robot));
         }
     }
 

@@ -99,10 +99,9 @@ impl Pilot {
         self.watch = Watch::default();
     }
 
-    /// Forgets the way back: after a correction that moved the robot farther than a crumb, its
-    /// places are no longer where it went.
-    pub fn forget_trail(&mut self) {
-        self.trail.clear();
+    /// Carries the way back along when the robot's pose was corrected.
+    pub fn corrected(&mut self, before: &Isometry3<f64>, after: &Isometry3<f64>) {
+        self.trail.correct(before, after);
     }
 
     /// Judges a line taken with the head parked.

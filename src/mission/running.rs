@@ -421,9 +421,7 @@ impl Running {
             findings.update.associations.len(),
             findings.update.added.len(),
         ));
-        if moved_m > 0.05 {
-            self.pilot.forget_trail();
-        }
+        self.pilot.corrected(&before, &after);
         if findings.update.loop_closed {
             desk.info(format!(
                 "loop closed, {} earlier poses corrected",

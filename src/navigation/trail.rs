@@ -1,5 +1,6 @@
 use super::{DriveCommand, Pose2};
 use crate::geometry::wrap_pi;
+use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
@@ -41,6 +42,22 @@ impl Trail {
                 self.crumbs.drain(..KEPT / 4);
             }
             self.crumbs.push(*pose);
+        }
+    }
+
+    /// Carries the track along when the robot's pose is corrected: it was driven in the robot's own
+    /// measure, so it keeps its place relative to the robot.
+    pub fn correct(&mut self, before: &Isometry3<f64>, after: &Isometry3<f64>) {
+        let (before, after) = (Pose2::from_isometry(before), Pose2::from_isometry(after));
+        let turn_rad = wrap_pi(after.yaw_rad - before.yaw_rad);
+        let (sin, cos) = turn_rad.sin_cos();
+        for crumb in &mut self.crumbs {
+            let (dx, dy) = (crumb.x_m - before.x_m, crumb.y_m - before.y_m);
+            *crumb = Pose2 {
+                x_m: after.x_m + cos * dx - sin * dy,
+                y_m: after.y_m + sin * dx + cos * dy,
+                yaw_rad: wrap_pi(crumb.yaw_rad + turn_rad),
+            };
         }
     }
 
