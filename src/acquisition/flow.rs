@@ -458,7 +458,7 @@ impl Flow {
             }
             (Stage::Approaching, Some(_)) => self.budget.servo_s += seconds,
             (Stage::Flowing, Some(rate)) if rate > CREEPING_RAD_S => {
-                self.budget.moving_s += seconds
+                self.budget.moving_s += seconds;
             }
             (Stage::Flowing, Some(_)) => self.budget.laser_s += seconds,
         }

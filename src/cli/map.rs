@@ -83,11 +83,11 @@ struct Step {
 pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
     let odometry = read_poses(arguments.odometry.as_deref(), arguments.scans.len())?;
     let truth = read_poses(arguments.truth.as_deref(), arguments.scans.len())?;
-    let mut config = MapperConfig::default();
-    config.mode = match arguments.mode {
+    let mode = match arguments.mode {
         ModeArgument::Full => Mode::Full,
         ModeArgument::Mip => Mode::Mip,
     };
+    let config = MapperConfig { mode, ..MapperConfig::default() };
     let start = odometry.as_ref().map_or_else(Isometry3::identity, |poses| poses[0].pose);
     let mut mapper = Mapper::new(config, start);
     let mut segmenter = Segmenter::new(SegmentationConfig::default());
@@ -201,7 +201,7 @@ impl Score {
             score.rotation_rad.push(error.fixed_rows::<3>(3).norm());
             let nees = mapper
                 .motion_covariance(k - 1, k)
-                .and_then(|covariance| covariance.cholesky())
+                .and_then(nalgebra::Matrix::cholesky)
                 .map(|cholesky| error.dot(&cholesky.solve(&error)));
             score.nees.extend(nees);
         }

@@ -81,7 +81,7 @@ pub struct Mapper {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 enum Engine {
-    Mip { filter: Mip, keyframes: Vec<Isometry3<f64>> },
+    Mip { filter: Box<Mip>, keyframes: Vec<Isometry3<f64>> },
     Full(Box<Full>),
 }
 
@@ -100,7 +100,7 @@ impl Mapper {
     ) -> Self {
         let engine = match config.mode {
             Mode::Mip => Engine::Mip {
-                filter: Mip::new(config.mip.clone(), world_from_robot, *covariance),
+                filter: Box::new(Mip::new(config.mip.clone(), world_from_robot, *covariance)),
                 keyframes: Vec::new(),
             },
             Mode::Full => {
