@@ -213,8 +213,8 @@ impl Belief {
 
     /// Takes in a wheel odometry reading of the time `stamp`.
     pub fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
-        let Some(increment) = self.motion.wheels(wheels) else { return };
-        self.mapper.predict(&increment);
+        let Some((increment, source)) = self.motion.wheels(wheels) else { return };
+        self.mapper.predict(&increment, source);
         self.keyframe_from_robot *= increment;
         self.keyframe_from_robot.rotation.renormalize();
         let step_m = increment.translation.vector.norm();
