@@ -23,6 +23,13 @@ const WEDGED: u32 = 2;
 /// Rest after nothing could be planned, so that what moves may move on.
 const REST: Span = Span::from_millis(2_000);
 
+/// Lines of a fixed laser before the first choice.
+const PLANAR_LINES: usize = 5;
+
+/// Worth of a sweep from where the robot stands, in square metres per second, below which the gap
+/// between it and the nearest ring that it can see is rather taken for ground, if the ring is whole.
+const POOR_LOOK: f64 = 0.25;
+
 /// Share of the ring about the start that must be seen as ground for the gap inside it to be assumed.
 const RING_SEEN: f64 = 0.9;
 
@@ -53,12 +60,18 @@ impl Running {
             }
             Activity::Stand => {
                 self.stop(desk);
-                if self.mode != Mode::Teleop && self.acquisition.is_some() {
+                if self.mode != Mode::Teleop && self.may_explore(desk.config) {
                     return self.choose(desk);
                 }
             }
         }
         Verdict::GoOn
+    }
+
+    /// Whether the robot may drive on its own: it can see edges, or the floor was vouched for.
+    pub(super) fn may_explore(&self, config: &AgentConfig) -> bool {
+        self.acquisition.is_some()
+            || (config.belief.terrain.flat_floor && self.planar_lines >= PLANAR_LINES)
     }
 
     /// Stands still, then looks.
@@ -121,6 +134,12 @@ impl Running {
                     return self.nothing_left(retry_at, desk);
                 }
             };
+            let stays = choice.way_m < 0.3 && choice.gain_m2 < POOR_LOOK * choice.seconds;
+            if stays && !self.bridged && self.bridge_blind_ring(desk) {
+                self.explorer.reached();
+                self.activity = Activity::Rest { until: desk.now };
+                return Verdict::GoOn;
+            }
             match self.planner.plan(&self.grid, &costs, &pose, choice.cell) {
                 Ok(path) => {
                     desk.info(format!(
@@ -172,7 +191,6 @@ impl Running {
     /// Takes the ground between the robot's own disc and the nearest ring that it can see for safe,
     /// if that ring is ground all about: the committee does not put robots on the lip of a hole.
     fn bridge_blind_ring(&mut self, desk: &mut Desk<'_>) -> bool {
-        self.bridged = true;
         let Some(blind_m) = self.rig.visibility().and_then(|sight| sight.nearest_from_centre_m)
         else {
             return false;
@@ -193,13 +211,14 @@ impl Running {
         }
         let share = f64::from(seen) / f64::from(samples);
         if edges > 0 || share < RING_SEEN {
-            desk.warn(format!(
+            desk.info(format!(
                 "ground nearer than {ring_m:.2} m was never seen, and the ring about it is not whole \
-                 ({:.0} % ground, {edges} edges): standing still",
+                 ({:.0} % ground, {edges} edges): it is not assumed",
                 100.0 * share
             ));
             return false;
         }
+        self.bridged = true;
         desk.warn(format!(
             "ground nearer than {ring_m:.2} m cannot be seen from here; the ring about it is, so the \
              gap is assumed"
@@ -227,7 +246,7 @@ impl Running {
             desk.warn("the goal took too long; choosing another");
             return self.look_here(desk);
         }
-        if self.belief.leg_m() > desk.config.mission.leg_m {
+        if self.acquisition.is_some() && self.belief.leg_m() > desk.config.mission.leg_m {
             desk.info("far from the last sweep: taking one on the way");
             return self.look_here(desk);
         }
@@ -264,7 +283,11 @@ impl Running {
         match self.fan(desk.config) {
             Some(request) => self.settle(Look::Sweep(request), desk),
             None => {
+                // A fixed laser looks all the time: what it shows from here is in the grid already.
                 self.stop(desk);
+                self.refresh_grid(desk.now);
+                let pose = self.pose2();
+                self.explorer.swept(&self.grid, &pose, std::f64::consts::PI);
                 self.activity = Activity::Rest { until: desk.now + REST };
             }
         }
