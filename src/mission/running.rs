@@ -111,7 +111,8 @@ pub struct Running {
     pub(super) candidates: Candidates,
     victim_config: VictimConfig,
     pub(super) frontiers_left: Vec<FrontierLeft>,
-    pub(super) bridged: bool,
+    /// Where a gap that could not be seen was assumed.
+    pub(super) bridged: Vec<Pose2>,
     pub(super) finest_here: bool,
     pub(super) give_ups: u32,
     pub(super) battery_s: Option<i64>,
@@ -167,7 +168,7 @@ impl Running {
             candidates: Candidates::default(),
             victim_config: config.victims,
             frontiers_left: Vec::new(),
-            bridged: false,
+            bridged: Vec::new(),
             finest_here: false,
             give_ups: 0,
             battery_s: None,
