@@ -1,7 +1,11 @@
 //! Ctrl-C: the first asks a run to end well, the second ends the program.
 
+use crate::link::SessionClock;
+use crate::mission::Event;
+use crate::time::Arrival;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tokio::sync::mpsc;
 
 /// Whether Ctrl-C was pressed.
 #[derive(Clone, Debug, Default)]
@@ -33,4 +37,36 @@ pub fn watch() -> Interrupt {
         });
     });
     interrupt
+}
+
+/// Turns signals into the request to end: the first Ctrl-C or a request to terminate ends the run
+/// well, the second Ctrl-C ends the program at once.
+pub async fn forward(sender: mpsc::Sender<(Arrival, Event)>, clock: SessionClock) {
+    asked_to_end().await;
+    let end = (clock.now(), Event::End("interrupted".into()));
+    if sender.send(end).await.is_err() {
+        return;
+    }
+    if tokio::signal::ctrl_c().await.is_ok() {
+        std::process::exit(130);
+    }
+}
+
+#[cfg(unix)]
+async fn asked_to_end() {
+    use tokio::signal::unix::{SignalKind, signal};
+    match signal(SignalKind::terminate()) {
+        Ok(mut terminate) => {
+            tokio::select! {
+                _ = tokio::signal::ctrl_c() => {}
+                _ = terminate.recv() => {}
+            }
+        }
+        Err(_) => drop(tokio::signal::ctrl_c().await),
+    }
+}
+
+#[cfg(not(unix))]
+async fn asked_to_end() {
+    drop(tokio::signal::ctrl_c().await);
 }

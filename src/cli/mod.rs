@@ -3,10 +3,13 @@
 mod demo;
 mod files;
 mod interrupt;
+mod keys;
 mod map;
 mod mission;
 mod out;
 mod paper;
+mod replay;
+mod run;
 mod segment;
 
 use clap::{Parser, Subcommand};
@@ -26,6 +29,10 @@ enum Verb {
     Demo(demo::DemoArguments),
     /// One mission headless, agents and simulator in lockstep.
     Mission(mission::MissionArguments),
+    /// The agent against any USARSim server.
+    Run(run::RunArguments),
+    /// A recording through the live path.
+    Replay(replay::ReplayArguments),
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
     /// Organised scans through segmentation, localisation and mapping.
@@ -39,6 +46,8 @@ pub fn run(arguments: Arguments) -> ExitCode {
     let outcome = match arguments.verb {
         Verb::Demo(arguments) => demo::run(&arguments),
         Verb::Mission(arguments) => mission::run(&arguments),
+        Verb::Run(arguments) => run::run(&arguments),
+        Verb::Replay(arguments) => replay::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
         Verb::Map(arguments) => map::run(&arguments),
         Verb::Paper(arguments) => paper::run(arguments),

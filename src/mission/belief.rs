@@ -14,7 +14,7 @@ use crate::scan::{ImageRow, LaserLine, RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
 use crate::time::Stamp;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -236,6 +236,23 @@ impl Belief {
     pub fn restart_wheels(&mut self) {
         self.motion.restart_wheels();
         self.history.clear();
+    }
+
+    /// Takes in that the robot is at `world_from_robot` now though nothing measured how it came there:
+    /// a server put it there. `sigma_m` and `sigma_rad` say how well that place fits this map.
+    pub fn put_at(&mut self, world_from_robot: &Isometry3<f64>, sigma_m: f64, sigma_rad: f64) {
+        self.restart_wheels();
+        let increment = self.world_from_robot().inverse() * world_from_robot;
+        let spread = Vector6::new(sigma_m, sigma_m, sigma_m, sigma_rad, sigma_rad, sigma_rad);
+        let covariance = Matrix6::from_diagonal(&spread.component_mul(&spread));
+        self.mapper.predict_with(&increment, &covariance);
+        self.keyframe_from_robot *= increment;
+        self.keyframe_from_robot.rotation.renormalize();
+    }
+
+    /// Where the robot began.
+    pub fn start(&self) -> &Isometry3<f64> {
+        &self.start
     }
 
     /// Where the robot was at `stamp`, relative to the last keyframe, and how fast it turned then in
