@@ -14,6 +14,38 @@ impl Interrupt {
     }
 }
 
+/// Done when the program is asked to end, by Ctrl-C or by the system; a second Ctrl-C ends it at once.
+/// Where no signal can be watched it is never done, and Ctrl-C ends the program as it would without
+/// us.
+pub async fn asked_to_stop() {
+    #[cfg(unix)]
+    let terminated = async {
+        use tokio::signal::unix::{SignalKind, signal};
+        match signal(SignalKind::terminate()) {
+            Ok(mut signals) => {
+                signals.recv().await;
+            }
+            Err(_) => std::future::pending().await,
+        }
+    };
+    #[cfg(not(unix))]
+    let terminated = std::future::pending();
+    let interrupted = async {
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    };
+    tokio::select! {
+        () = interrupted => {}
+        () = terminated => {}
+    }
+    tokio::spawn(async {
+        if tokio::signal::ctrl_c().await.is_ok() {
+            std::process::exit(130);
+        }
+    });
+}
+
 /// Watches for Ctrl-C on a thread of its own. Where no signal can be watched, Ctrl-C ends the
 /// program at once, as it would without us.
 pub fn watch() -> Interrupt {

@@ -8,6 +8,7 @@ mod mission;
 mod out;
 mod paper;
 mod segment;
+mod sim;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -26,6 +27,8 @@ enum Verb {
     Demo(demo::DemoArguments),
     /// One mission headless, agents and simulator in lockstep.
     Mission(mission::MissionArguments),
+    /// The stand-in USARSim server on TCP.
+    Sim(sim::SimArguments),
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
     /// Organised scans through segmentation, localisation and mapping.
@@ -39,6 +42,7 @@ pub fn run(arguments: Arguments) -> ExitCode {
     let outcome = match arguments.verb {
         Verb::Demo(arguments) => demo::run(&arguments),
         Verb::Mission(arguments) => mission::run(&arguments),
+        Verb::Sim(arguments) => sim::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
         Verb::Map(arguments) => map::run(&arguments),
         Verb::Paper(arguments) => paper::run(arguments),
