@@ -7,5 +7,6 @@ mod mapping;
 mod protocol;
 mod scripted;
 mod segmentation;
+mod session;
 mod terrain;
 mod truth;

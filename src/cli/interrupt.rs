@@ -18,6 +18,38 @@ impl Interrupt {
     }
 }
 
+/// Done when the program is asked to end, by Ctrl-C or by the system; a second Ctrl-C ends it at once.
+/// Where no signal can be watched it is never done, and Ctrl-C ends the program as it would without
+/// us.
+pub async fn asked_to_stop() {
+    #[cfg(unix)]
+    let terminated = async {
+        use tokio::signal::unix::{SignalKind, signal};
+        match signal(SignalKind::terminate()) {
+            Ok(mut signals) => {
+                signals.recv().await;
+            }
+            Err(_) => std::future::pending().await,
+        }
+    };
+    #[cfg(not(unix))]
+    let terminated = std::future::pending();
+    let interrupted = async {
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    };
+    tokio::select! {
+        () = interrupted => {}
+        () = terminated => {}
+    }
+    tokio::spawn(async {
+        if tokio::signal::ctrl_c().await.is_ok() {
+            std::process::exit(130);
+        }
+    });
+}
+
 /// Watches for Ctrl-C on a thread of its own. Where no signal can be watched, Ctrl-C ends the
 /// program at once, as it would without us.
 pub fn watch() -> Interrupt {
@@ -39,34 +71,10 @@ pub fn watch() -> Interrupt {
     interrupt
 }
 
-/// Turns signals into the request to end: the first Ctrl-C or a request to terminate ends the run
-/// well, the second Ctrl-C ends the program at once.
+/// Turns a request to stop into the event that ends a run well.
 pub async fn forward(sender: mpsc::Sender<(Arrival, Event)>, clock: SessionClock) {
-    asked_to_end().await;
+    asked_to_stop().await;
     let end = (clock.now(), Event::End("interrupted".into()));
-    if sender.send(end).await.is_err() {
-        return;
-    }
-    if tokio::signal::ctrl_c().await.is_ok() {
-        std::process::exit(130);
-    }
-}
-
-#[cfg(unix)]
-async fn asked_to_end() {
-    use tokio::signal::unix::{SignalKind, signal};
-    match signal(SignalKind::terminate()) {
-        Ok(mut terminate) => {
-            tokio::select! {
-                _ = tokio::signal::ctrl_c() => {}
-                _ = terminate.recv() => {}
-            }
-        }
-        Err(_) => drop(tokio::signal::ctrl_c().await),
-    }
-}
-
-#[cfg(not(unix))]
-async fn asked_to_end() {
-    drop(tokio::signal::ctrl_c().await);
+    // Nobody listens any more: the run has ended on its own.
+    let _ = sender.send(end).await;
 }

@@ -11,6 +11,7 @@ mod paper;
 mod replay;
 mod run;
 mod segment;
+mod sim;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -33,6 +34,8 @@ enum Verb {
     Run(run::RunArguments),
     /// A recording through the live path.
     Replay(replay::ReplayArguments),
+    /// The stand-in USARSim server on TCP.
+    Sim(sim::SimArguments),
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
     /// Organised scans through segmentation, localisation and mapping.
@@ -48,6 +51,7 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Verb::Mission(arguments) => mission::run(&arguments),
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Replay(arguments) => replay::run(&arguments),
+        Verb::Sim(arguments) => sim::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
         Verb::Map(arguments) => map::run(&arguments),
         Verb::Paper(arguments) => paper::run(arguments),

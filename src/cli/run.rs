@@ -254,10 +254,12 @@ impl Screen {
     fn show(&mut self, agent: &Agent, now: Arrival) {
         let journal = agent.journal();
         for note in journal.since(self.seen) {
-            eprint!("\r{:8.1} s  {}\x1b[K\r\n", note.arrival.seconds(), note.text);
+            let (back, end) =
+                if std::io::stderr().is_terminal() { ("\r", "\x1b[K\r\n") } else { ("", "\n") };
+            eprint!("{back}{:8.1} s  {}{end}", note.arrival.seconds(), note.text);
         }
         self.seen = journal.len();
-        if now.seconds() - self.shown_s < 1.0 {
+        if now.seconds() - self.shown_s < 1.0 || !std::io::stderr().is_terminal() {
             return;
         }
         self.shown_s = now.seconds();
