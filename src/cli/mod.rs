@@ -1,7 +1,11 @@
 //! Arguments, wiring and exit codes: one file per verb.
 
+mod check;
 mod demo;
+mod eval;
+mod export;
 mod files;
+mod info;
 mod interrupt;
 mod keys;
 mod map;
@@ -11,6 +15,7 @@ mod paper;
 mod replay;
 mod run;
 mod segment;
+mod session;
 mod sim;
 
 use clap::{Parser, Subcommand};
@@ -40,6 +45,14 @@ enum Verb {
     Segment(segment::SegmentArguments),
     /// Organised scans through segmentation, localisation and mapping.
     Map(map::MapArguments),
+    /// A run against the truth in it, or two runs side by side.
+    Eval(eval::EvalArguments),
+    /// One deliverable from a run folder or a session.
+    Export(export::ExportArguments),
+    /// What a session, scan, map, scenario or configuration holds.
+    Info(info::InfoArguments),
+    /// Whether files are valid, all errors at once; what a rig can see of the ground.
+    Check(check::CheckArguments),
     /// Regenerates the paper's tables and figures from this code.
     Paper(paper::PaperArguments),
 }
@@ -54,6 +67,10 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Verb::Sim(arguments) => sim::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
         Verb::Map(arguments) => map::run(&arguments),
+        Verb::Eval(arguments) => eval::run(&arguments),
+        Verb::Export(arguments) => export::run(&arguments),
+        Verb::Info(arguments) => info::run(&arguments),
+        Verb::Check(arguments) => check::run(&arguments),
         Verb::Paper(arguments) => paper::run(arguments),
     };
     outcome.unwrap_or_else(|error| {

@@ -3,15 +3,14 @@
 use super::files::write_stdout;
 use super::mission::summary;
 use super::out::RunFolder;
-use crate::driver::observed::{observing, recording_of_text, server_side};
+use super::session::{self, Session};
 use crate::driver::replay::{Difference, Replay};
 use crate::driver::results::results;
 use crate::driver::simulated::MissionResult;
 use crate::export::report::Report;
-use crate::files::agent_config::{Source, agent_config};
+use crate::files::agent_config::Source;
 use crate::mission::{Agent, Level};
-use crate::protocol::capture::Capture;
-use crate::record::{Header, MAGIC, Recording, read};
+use crate::record::Recording;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use std::path::{Path, PathBuf};
@@ -70,14 +69,6 @@ fn speed(text: &str) -> Result<Speed, String> {
     }
 }
 
-/// A session ready to be replayed.
-struct Session {
-    recording: Recording,
-    agent: Agent,
-    name: String,
-    own: bool,
-}
-
 /// Runs the verb.
 ///
 /// # Errors
@@ -87,7 +78,11 @@ pub fn run(arguments: &ReplayArguments) -> Result<ExitCode> {
     if !arguments.console.eq_ignore_ascii_case("off") {
         eprintln!("warning: the console is not built yet; going on without it");
     }
-    let Session { recording, agent, name, own } = open(arguments)?;
+    let overrides: Vec<Source> =
+        arguments.config.iter().map(|path| Source::file(path)).collect::<Result<_, _>>()?;
+    let class = arguments.class.as_deref();
+    let Session { recording, agent, name, own } =
+        session::open(&arguments.session, class, arguments.observe, &overrides)?;
     if arguments.verify && !own {
         bail!("{} is captured text: it holds no actions to verify", arguments.session.display());
     }
@@ -147,73 +142,6 @@ fn conclude(
         return Ok(ExitCode::from(DONE_WITH_LOSS));
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Reads a session, own or foreign, and makes the agent for it.
-fn open(arguments: &ReplayArguments) -> Result<Session> {
-    let (bytes, path) = read_session(&arguments.session)?;
-    let overrides: Vec<Source> =
-        arguments.config.iter().map(|path| Source::file(path)).collect::<Result<_, _>>()?;
-    if bytes.starts_with(MAGIC) {
-        return own(arguments, &bytes, &path, &overrides);
-    }
-    let capture = Capture::read(&bytes);
-    if capture.lines.is_empty() {
-        bail!("{}: neither a recording nor text with lines of a server in it", path.display());
-    }
-    eprintln!(
-        "captured text: {} lines of the server, {} of them put together again, {} remarks left out",
-        capture.lines.len(),
-        capture.rejoined(),
-        capture.remarks.len()
-    );
-    let mut config = observing(agent_config(&overrides)?);
-    if let Some(class) = &arguments.class {
-        config.mission.class.clone_from(class);
-    }
-    let recording = recording_of_text(&capture, Header::default());
-    let agent = Agent::new(config, recording.header.placement.clone());
-    let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
-    Ok(Session { recording, agent, name, own: false })
-}
-
-fn own(
-    arguments: &ReplayArguments,
-    bytes: &[u8],
-    path: &Path,
-    overrides: &[Source],
-) -> Result<Session> {
-    let recording = read(bytes).with_context(|| format!("cannot read {}", path.display()))?;
-    let recorded = Source {
-        file: format!("configuration in {}", path.display()),
-        text: recording.header.config.clone(),
-        section: None,
-    };
-    let sources: Vec<Source> = std::iter::once(recorded).chain(overrides.iter().cloned()).collect();
-    let config = agent_config(&sources)?;
-    let (recording, config) = match arguments.observe {
-        true => (server_side(&recording), observing(config)),
-        false => (recording, config),
-    };
-    let agent = Agent::new(config, recording.header.placement.clone());
-    let name = match recording.header.scenario.as_str() {
-        "" => "session".to_owned(),
-        scenario => scenario.to_owned(),
-    };
-    Ok(Session { recording, agent, name, own: true })
-}
-
-/// The bytes of a session file, of the recording in a run folder, or of standard input.
-fn read_session(path: &Path) -> Result<(Vec<u8>, PathBuf)> {
-    use std::io::Read as _;
-    if path == Path::new("-") {
-        let mut bytes = Vec::new();
-        std::io::stdin().read_to_end(&mut bytes).context("cannot read standard input")?;
-        return Ok((bytes, PathBuf::from("stdin")));
-    }
-    let file = if path.is_dir() { path.join("session.usar") } else { path.to_owned() };
-    let bytes = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
-    Ok((bytes, file))
 }
 
 /// Waits until the next entry is due.

@@ -124,7 +124,16 @@ impl<W: Write> Lockstep<W> {
     ///
     /// When a recording cannot be closed.
     pub fn finish(self) -> io::Result<Vec<Agent>> {
-        self.pairs.into_iter().map(|pair| Ok(pair.host.finish()?.0)).collect()
+        Ok(self.finish_recordings()?.into_iter().map(|(agent, _)| agent).collect())
+    }
+
+    /// As [`finish`](Self::finish), with the sinks of the recordings.
+    ///
+    /// # Errors
+    ///
+    /// When a recording cannot be closed.
+    pub fn finish_recordings(self) -> io::Result<Vec<(Agent, Option<W>)>> {
+        self.pairs.into_iter().map(|pair| pair.host.finish()).collect()
     }
 }
 

@@ -14,7 +14,7 @@ use crate::scan::{ImageRow, LaserLine, RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
 use crate::time::Stamp;
-use nalgebra::{Isometry3, Matrix6, Vector6};
+use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -432,6 +432,26 @@ impl Belief {
         for point in &self.track {
             self.settled.drive_over(&(keyframes[point.keyframe] * point.keyframe_from_robot));
         }
+    }
+
+    /// Every point of every sweep and line in the map, where it is believed now. Points beyond what the
+    /// terrain reads are among them.
+    pub fn points(&self) -> impl Iterator<Item = Point3<f64>> + '_ {
+        let keyframes = self.mapper.keyframes();
+        self.archive.iter().flat_map(move |item| {
+            let world_from_robot = keyframes[item.keyframe] * item.keyframe_from_robot;
+            let world_from_scan = world_from_robot * item.image.robot_from_scan;
+            let (rows, columns) = (item.image.rows().len(), item.image.columns());
+            (0..rows * columns).filter_map(move |at| {
+                let (row, column) = (at / columns, at % columns);
+                match item.image.at(row, column) {
+                    Return::Hit(range_m) => {
+                        Some(world_from_scan * item.image.point_at(row, column, range_m))
+                    }
+                    _ => None,
+                }
+            })
+        })
     }
 
     /// The trajectory as it is believed now, later corrections included.
