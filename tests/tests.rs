@@ -2,10 +2,14 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking; helpers count as tests too")]
 
+mod cli;
 mod layering;
 mod mapping;
 mod protocol;
+mod replay;
 mod scripted;
 mod segmentation;
+mod session;
+mod session;
 mod terrain;
 mod truth;

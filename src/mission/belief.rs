@@ -14,7 +14,7 @@ use crate::scan::{ImageRow, LaserLine, RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
 use crate::time::Stamp;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -255,6 +255,23 @@ impl Belief {
         self.history.clear();
     }
 
+    /// Takes in that the robot is at `world_from_robot` now though nothing measured how it came there:
+    /// a server put it there. `sigma_m` and `sigma_rad` say how well that place fits this map.
+    pub fn put_at(&mut self, world_from_robot: &Isometry3<f64>, sigma_m: f64, sigma_rad: f64) {
+        self.restart_wheels();
+        let increment = self.world_from_robot().inverse() * world_from_robot;
+        let spread = Vector6::new(sigma_m, sigma_m, sigma_m, sigma_rad, sigma_rad, sigma_rad);
+        let covariance = Matrix6::from_diagonal(&spread.component_mul(&spread));
+        self.mapper.predict_with(&increment, &covariance);
+        self.keyframe_from_robot *= increment;
+        self.keyframe_from_robot.rotation.renormalize();
+    }
+
+    /// Where the robot began.
+    pub fn start(&self) -> &Isometry3<f64> {
+        &self.start
+    }
+
     /// Where the robot was at `stamp`, relative to the last keyframe, and how fast it turned then in
     /// rad/s; `None` where no odometry surrounds it.
     fn at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, f64)> {
@@ -435,6 +452,26 @@ impl Belief {
         for point in &self.track {
             self.settled.drive_over(&(keyframes[point.keyframe] * point.keyframe_from_robot));
         }
+    }
+
+    /// Every point of every sweep and line in the map, where it is believed now. Points beyond what the
+    /// terrain reads are among them.
+    pub fn points(&self) -> impl Iterator<Item = Point3<f64>> + '_ {
+        let keyframes = self.mapper.keyframes();
+        self.archive.iter().flat_map(move |item| {
+            let world_from_robot = keyframes[item.keyframe] * item.keyframe_from_robot;
+            let world_from_scan = world_from_robot * item.image.robot_from_scan;
+            let (rows, columns) = (item.image.rows().len(), item.image.columns());
+            (0..rows * columns).filter_map(move |at| {
+                let (row, column) = (at / columns, at % columns);
+                match item.image.at(row, column) {
+                    Return::Hit(range_m) => {
+                        Some(world_from_scan * item.image.point_at(row, column, range_m))
+                    }
+                    _ => None,
+                }
+            })
+        })
     }
 
     /// The trajectory as it is believed now, later corrections included.

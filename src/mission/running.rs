@@ -117,11 +117,11 @@ pub struct Running {
     pub(super) give_ups: u32,
     pub(super) battery_s: Option<i64>,
     /// The command in force and when it was sent.
-    command: DriveCommand,
-    commanded: Option<Arrival>,
-    wheels: Option<PlanarPose>,
-    last_wheels: PlanarPose,
-    latest_stamp: Stamp,
+    pub(super) command: DriveCommand,
+    pub(super) commanded: Option<Arrival>,
+    pub(super) wheels: Option<PlanarPose>,
+    pub(super) last_wheels: PlanarPose,
+    pub(super) latest_stamp: Stamp,
     first_scan_due: bool,
     pub(super) planar_lines: usize,
     wheel_count: WheelCount,
@@ -307,6 +307,7 @@ impl Running {
             Sen::Inu(message) => self.take_attitude(&self.rig.inu(message)),
             Sen::RangeScanner(message) => {
                 match self.rig.laser_line(message, Some(self.latest_stamp)) {
+                    Ok(line) if desk.config.mission.observe => self.observed_line(&line),
                     Ok(line) => self.line(&line, desk),
                     Err(error) => desk.warn(format!("laser line not used: {error}")),
                 }
@@ -383,7 +384,12 @@ impl Running {
     /// A line of a laser that does not tilt: flat occupancy.
     fn planar_line(&mut self, line: &LaserLine) {
         let robot_from_sensor = self.rig.robot_from_sensor(HeadPose::default());
-        if self.belief.take_flat_line(line, &robot_from_sensor) {
+        self.take_level_line(line, &robot_from_sensor);
+    }
+
+    /// A line at the laser's own height: flat occupancy.
+    pub(super) fn take_level_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) {
+        if self.belief.take_flat_line(line, robot_from_sensor) {
             self.planar_lines += 1;
         }
     }
@@ -588,7 +594,7 @@ impl Running {
 }
 
 /// The rig as the terrain sees it.
-fn shape_of(rig: &Rig) -> RobotShape {
+pub(super) fn shape_of(rig: &Rig) -> RobotShape {
     RobotShape {
         length_m: rig.body.length_m,
         width_m: rig.body.width_m,
