@@ -37,8 +37,14 @@ const RING_SEEN: f64 = 0.85;
 /// How far beyond the nearest visible ground the gap before it is judged, in metres.
 const BRIDGE_M: f64 = 0.25;
 
-/// Most gaps that are assumed in one mission: they are for the start, not for exploring.
+/// Most gaps that are assumed in one mission.
 const MOST_BRIDGES: usize = 4;
+
+/// Way in metres up to which the robot is at its start, the only place where a gap is assumed.
+const START_M: f64 = 1.0;
+
+/// The next heading when nothing is left to go to.
+const THIRD_OF_A_TURN: f64 = 2.0 * std::f64::consts::PI / 3.0;
 
 /// Where the ring cannot be seen for an obstacle before it, the obstacle is at most this much nearer.
 const RING_SHADE_M: f64 = 0.35;
@@ -164,7 +170,7 @@ impl Running {
                     let path_m = path.length_m();
                     self.pilot.set_path(path);
                     self.park(desk);
-                    self.finest_here = false;
+                    self.resorts = 0;
                     self.activity = Activity::Drive(Drive { since: desk.now, path_m, replans: 0 });
                     return Verdict::GoOn;
                 }
@@ -182,13 +188,8 @@ impl Running {
             self.activity = Activity::Rest { until: desk.now };
             return Verdict::GoOn;
         }
-        if !self.finest_here {
-            self.finest_here = true;
-            if let Some(request) = self.fan(desk.config) {
-                desk.info("nothing to go to: looking once more from here");
-                self.settle(Look::Sweep(request), desk);
-                return Verdict::GoOn;
-            }
+        if self.acquisition.is_some() && self.last_resort(desk) {
+            return Verdict::GoOn;
         }
         if let Some(at) = retry_at {
             desk.info(format!("nothing to go to: waiting until {at} to try again what failed"));
@@ -197,6 +198,41 @@ impl Running {
         }
         desk.info(format!("nothing left to explore, {} frontiers stay", self.frontiers_left.len()));
         Verdict::Explored
+    }
+
+    /// What is tried before a place is left for explored: another look, looks to both other sides, and a
+    /// look from farther back on the own track. False once all was tried.
+    fn last_resort(&mut self, desk: &mut Desk<'_>) -> bool {
+        let resort = self.resorts;
+        self.resorts += 1;
+        let pose = self.pose2();
+        match resort {
+            0 => {
+                desk.info("nothing to go to: looking once more from here");
+                self.look_here(desk);
+            }
+            1 | 2 => {
+                let costs = CostMap::new(&self.grid, &self.shape, &desk.config.plan);
+                let cell = self.grid.cell_of(pose.x_m, pose.y_m);
+                let Ok(path) = self.planner.plan(&self.grid, &costs, &pose, cell) else {
+                    return self.last_resort(desk);
+                };
+                desk.info("nothing to go to: turning to look the other ways");
+                let yaw_rad = wrap_pi(pose.yaw_rad + THIRD_OF_A_TURN);
+                self.pilot.set_path(path.with_goal_yaw(yaw_rad));
+                self.park(desk);
+                self.activity =
+                    Activity::Drive(Drive { since: desk.now, path_m: 0.0, replans: REPLANS });
+            }
+            3 => {
+                desk.info("nothing to go to: backing out to look from farther away");
+                let trouble = Trouble::Stuck { commanded: 0.0, moved: 0.0 };
+                let recovery = self.pilot.recover(desk.config, &trouble, &pose, desk.now);
+                self.activity = Activity::Recover { recovery: Box::new(recovery), gave_up: 0 };
+            }
+            _ => return false,
+        }
+        true
     }
 
     /// Takes the gap ahead, between the robot's own disc and the nearest ground that it can see, for
@@ -210,7 +246,8 @@ impl Running {
             bridged.distance_m(&pose.point()) < STAYS_M
                 && wrap_pi(bridged.yaw_rad - pose.yaw_rad).abs() < 0.5
         });
-        if bridged_here || self.bridged.len() >= MOST_BRIDGES {
+        let at_start = self.belief.path_m() < START_M;
+        if bridged_here || !at_start || self.bridged.len() >= MOST_BRIDGES {
             return false;
         }
         let ring_m = blind_m + BRIDGE_M;

@@ -113,7 +113,8 @@ pub struct Running {
     pub(super) frontiers_left: Vec<FrontierLeft>,
     /// Where a gap that could not be seen was assumed.
     pub(super) bridged: Vec<Pose2>,
-    pub(super) finest_here: bool,
+    /// Last resorts tried since the robot last had somewhere to go.
+    pub(super) resorts: u32,
     pub(super) give_ups: u32,
     pub(super) battery_s: Option<i64>,
     /// The command in force and when it was sent.
@@ -169,7 +170,7 @@ impl Running {
             victim_config: config.victims,
             frontiers_left: Vec::new(),
             bridged: Vec::new(),
-            finest_here: false,
+            resorts: 0,
             give_ups: 0,
             battery_s: None,
             command: DriveCommand::STOP,
