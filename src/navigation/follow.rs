@@ -5,8 +5,13 @@ use super::speed::{
 };
 use super::{DriveCommand, Pose2};
 use crate::geometry::wrap_pi;
-use crate::terrain::{Grid, RobotShape};
+use crate::terrain::{CellClass, Grid, RobotShape};
 use serde::{Deserialize, Serialize};
+
+/// Speed past an obstacle that is closer than the margin, in m/s.
+const SQUEEZE_MPS: f64 = 0.08;
+/// Turn rate beside one, in rad/s.
+const SQUEEZE_RPS: f64 = 0.25;
 
 /// How a path is driven.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -107,6 +112,7 @@ pub enum FollowStatus {
 pub struct Follower {
     config: FollowConfig,
     footprint: Footprint,
+    squeezed: Footprint,
     steepest: f64,
     inscribed_m: f64,
     path: Path,
@@ -119,8 +125,10 @@ pub struct Follower {
 impl Follower {
     /// A follower without a path, for a robot on grids of the given edge margin.
     pub fn new(config: FollowConfig, shape: &RobotShape, edge_margin_m: f64) -> Self {
+        let footprint = Footprint::new(shape, edge_margin_m);
         Self {
-            footprint: Footprint::new(shape, edge_margin_m),
+            squeezed: footprint.squeezed(),
+            footprint,
             steepest: shape.max_slope_rad.tan(),
             inscribed_m: shape.inscribed_radius_m(),
             config,
@@ -186,9 +194,9 @@ impl Follower {
         self.turning = bearing_rad.abs() > limit_rad;
         let following = FollowStatus::Following { remaining_m };
         if self.turning {
-            return match self.footprint.free_turn_rad(grid, pose, bearing_rad) {
+            return match self.turn_towards(pose, grid, bearing_rad) {
                 Err(conflict) => halt(Blocked::Turning(conflict)),
-                Ok(turn_rad) => (self.turn(turn_rad), following),
+                Ok(command) => (command, following),
             };
         }
         let reach_m = pose.distance_m(&target.point()).max(0.1);
@@ -209,11 +217,30 @@ impl Follower {
         if error_rad.abs() <= self.config.goal_yaw_tolerance_rad {
             return (DriveCommand::STOP, FollowStatus::Reached);
         }
-        match self.footprint.free_turn_rad(grid, pose, error_rad) {
+        match self.turn_towards(pose, grid, error_rad) {
             Err(conflict) => {
                 (DriveCommand::STOP, FollowStatus::Blocked(Blocked::Turning(conflict)))
             }
-            Ok(turn_rad) => (self.turn(turn_rad), FollowStatus::Following { remaining_m: 0.0 }),
+            Ok(command) => (command, FollowStatus::Following { remaining_m: 0.0 }),
+        }
+    }
+
+    /// The turn in place that brings the heading round by `error_rad`; at a creep where an obstacle is
+    /// closer than the margin.
+    fn turn_towards(
+        &self,
+        pose: &Pose2,
+        grid: &Grid,
+        error_rad: f64,
+    ) -> Result<DriveCommand, Conflict> {
+        match self.footprint.free_turn_rad(grid, pose, error_rad) {
+            Ok(turn_rad) => Ok(self.turn(turn_rad)),
+            Err(conflict) if conflict.class == CellClass::Occupied => self
+                .squeezed
+                .free_turn_rad(grid, pose, error_rad)
+                .map(|turn_rad| self.turn(turn_rad).limited(0.0, SQUEEZE_RPS))
+                .map_err(|_| conflict),
+            Err(conflict) => Err(conflict),
         }
     }
 
@@ -255,14 +282,21 @@ impl Follower {
         speed_mps = speed_mps
             .min(speed_to_stop_within(until_goal_m, config.latency_s, config.deceleration_mps2))
             .max(0.05);
-        let (safe_m, conflict) = self.safe_ahead(pose, grid, curvature, speed_mps);
+        let (safe_m, conflict) = self.safe_ahead(&self.footprint, pose, grid, curvature, speed_mps);
         let stop_mps = speed_to_stop_within(
             safe_m - config.stop_margin_m,
             config.latency_s,
             config.deceleration_mps2,
         );
         match conflict {
-            Some(conflict) if stop_mps < 0.02 => Err(conflict),
+            Some(conflict) if stop_mps < 0.02 => {
+                let beside = conflict.class == CellClass::Occupied
+                    && self
+                        .safe_ahead(&self.squeezed, pose, grid, curvature, SQUEEZE_MPS)
+                        .1
+                        .is_none();
+                if beside { Ok(speed_mps.min(SQUEEZE_MPS)) } else { Err(conflict) }
+            }
             _ => Ok(speed_mps.min(stop_mps)),
         }
     }
@@ -272,6 +306,7 @@ impl Follower {
     /// takes to stop from `speed_mps`, one cycle later.
     fn safe_ahead(
         &self,
+        footprint: &Footprint,
         pose: &Pose2,
         grid: &Grid,
         curvature: f64,
@@ -290,10 +325,8 @@ impl Follower {
             let on_path = self.path.pose_at(self.along_m + ahead_m);
             // The path's heading jumps at its corners, where the robot turns gradually or in place.
             let on_path = Pose2 { yaw_rad: on_arc.yaw_rad, ..on_path };
-            let conflict = self
-                .footprint
-                .conflict(grid, &on_arc)
-                .or_else(|| self.footprint.conflict(grid, &on_path));
+            let conflict =
+                footprint.conflict(grid, &on_arc).or_else(|| footprint.conflict(grid, &on_path));
             if let Some(conflict) = conflict {
                 return (ahead_m - step_m, Some(conflict));
             }

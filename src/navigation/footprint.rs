@@ -14,6 +14,8 @@ pub struct Footprint {
     circumscribed_m: f64,
     edge_margin_m: f64,
     margin_m: f64,
+    /// Whether obstacles may come as close as the hull itself.
+    squeezed: bool,
 }
 
 /// The first cell found that a footprint must not touch.
@@ -59,7 +61,15 @@ impl Footprint {
             circumscribed_m: shape.circumscribed_radius_m(),
             edge_margin_m: EDGE_SHARE * edge_margin_m,
             margin_m: 0.01,
+            squeezed: false,
         }
+    }
+
+    /// The same without any margin towards obstacles, for creeping out of a place where the robot stands
+    /// closer to them than it meant to: a wall touched at a creep does no harm. Edges and unknown
+    /// ground keep their margins.
+    pub fn squeezed(&self) -> Self {
+        Self { squeezed: true, ..self.clone() }
     }
 
     /// The nearest cell that the hull at `pose` would stand on or strike and must not; `None` where
@@ -84,6 +94,7 @@ impl Footprint {
                     _ if class.is_drivable() => -half_cell_m,
                     _ if roomy => continue,
                     _ if class.is_edge() => self.edge_margin_m + half_cell_m,
+                    CellClass::Occupied if self.squeezed => 0.0,
                     _ => self.margin_m + half_cell_m,
                 };
                 let centre = grid.centre(cell);
@@ -126,6 +137,41 @@ impl Footprint {
         match self.turn_conflict(grid, pose, other_rad) {
             None => Ok(other_rad),
             Some(_) => Err(conflict),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::terrain::GridCell;
+
+    /// Open ground with a row of cells of a class, its centres 0.325 m to the left of the x axis.
+    fn beside(class: CellClass) -> Grid {
+        let free = GridCell {
+            class: CellClass::Free,
+            height_m: 0.0,
+            room_m: 0.2,
+            sure: true,
+            ..GridCell::default()
+        };
+        let cells = (0..40 * 40).map(|at| GridCell {
+            class: if at / 40 == 26 { class } else { CellClass::Free },
+            ..free
+        });
+        Grid::from_cells(0.05, CellIndex { x: -20, y: -20 }, 40, cells.collect())
+    }
+
+    #[test]
+    fn a_squeezed_hull_may_pass_a_wall_but_never_an_edge() {
+        // The centres of the row lie 2.5 cm from the side of the hull.
+        let shape = RobotShape { length_m: 0.5, width_m: 0.6, ..RobotShape::default() };
+        let footprint = Footprint::new(&shape, 0.1);
+        let pose = Pose2::default();
+        assert!(footprint.conflict(&beside(CellClass::Occupied), &pose).is_some());
+        assert_eq!(footprint.squeezed().conflict(&beside(CellClass::Occupied), &pose), None);
+        for class in [CellClass::DropOff, CellClass::Suspect, CellClass::Unknown] {
+            assert!(footprint.squeezed().conflict(&beside(class), &pose).is_some(), "{class:?}");
         }
     }
 }

@@ -7,21 +7,25 @@
 //!
 //! All of it drives on seen or assumed ground only, and backwards only along the robot's own track.
 
+mod cost_map;
 mod follow;
 mod footprint;
 mod guard;
 mod path;
 mod plan;
+mod plan_error;
 mod recover;
 pub mod speed;
 mod stuck;
 mod trail;
 
+pub use cost_map::{CostMap, PlanConfig};
 pub use follow::{Blocked, FollowConfig, FollowStatus, Follower};
 pub use footprint::{Conflict, Footprint};
 pub use guard::{Guard, GuardConfig, GuardVerdict};
 pub use path::Path;
-pub use plan::{Barriers, CostField, CostMap, PlanConfig, PlanError, Planner};
+pub use plan::{CostField, Planner};
+pub use plan_error::{Barriers, PlanError};
 pub use recover::{Recovery, RecoveryConfig, RecoveryStep, Rung};
 pub use stuck::{Motion, StuckConfig, StuckDetector, Trouble};
 pub use trail::Trail;

@@ -35,7 +35,7 @@ impl Default for RecoveryConfig {
             back_farther_m: 1.0,
             back_mps: 0.15,
             turn_rad: 0.5,
-            turn_rps: 0.5,
+            turn_rps: 0.3,
             rung_s: 8.0,
         }
     }
@@ -91,7 +91,7 @@ impl Recovery {
     ) -> Self {
         Self {
             config,
-            footprint: Footprint::new(shape, edge_margin_m),
+            footprint: Footprint::new(shape, edge_margin_m).squeezed(),
             leaning: matches!(trouble, Trouble::Tilted { .. }),
             rung: Rung::Pause,
             since: now,
