@@ -10,6 +10,5 @@ mod replay;
 mod scripted;
 mod segmentation;
 mod session;
-mod session;
 mod terrain;
 mod truth;

@@ -1,69 +1,126 @@
-//! The agent against the stand-in over TCP.
+//! Plain clients against the stand-in server, over real sockets on free ports.
 
+mod operator;
+mod server;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
+use std::sync::mpsc;
+use std::thread::JoinHandle;
 use std::time::Duration;
-use tokio::net::TcpListener;
-use tokio::sync::{mpsc, oneshot};
-use usar_agent::driver::host::Host;
-use usar_agent::driver::live::Live;
-use usar_agent::driver::replay::Replay;
-use usar_agent::files::scenario::load;
-use usar_agent::link::{Backoff, SessionClock, connect};
-use usar_agent::mission::{Agent, Event, Mode, OperatorEvent, Outcome};
-use usar_agent::record::{Header, Writer, read};
+use tokio::sync::oneshot;
+use usar_agent::files::world::load_world;
+use usar_agent::protocol::Dialect;
 use usar_agent::sim::Session;
-use usar_agent::sim::server::Server;
+use usar_agent::sim::server::{Server, listen};
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_operator_drives_over_tcp_and_the_session_replays() {
-    let mut loaded = load(Path::new("box"), &[]).unwrap();
-    loaded.agent.mission.mode = Mode::Teleop;
-    loaded.agent.mission.time_limit_s = 5.0;
-    loaded.agent.opening.listen_s = 0.3;
-    let files = &loaded.files;
-    let session = Session::new(&files.world, &files.scenario, &files.catalogue).unwrap();
-    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let address = listener.local_addr().unwrap().to_string();
-    let (stop, stopped) = oneshot::channel::<()>();
-    let server = tokio::spawn(Server::new(session, listener, 4.0).run(async {
-        stopped.await.ok();
-    }));
+/// Level time per wall time: bursts come every 20 ms.
+const SPEED: f64 = 10.0;
 
-    let clock = SessionClock::start();
-    let link = connect(&address, &Backoff::once(), clock).await.unwrap();
-    let header = Header {
-        config: toml::to_string(&loaded.agent).unwrap(),
-        placement: loaded.placement.clone(),
-        ..Header::default()
-    };
-    let agent = Agent::new(loaded.agent.clone(), loaded.placement.clone());
-    let mut host = Host::new(agent, Some(Writer::new(Vec::new(), &header).unwrap()));
-    let (inputs, received) = mpsc::channel(64);
-    let hand = tokio::spawn(async move {
-        // As a held key: a press every 100 ms, until the robot has driven a while.
-        for _ in 0..45 {
-            tokio::time::sleep(Duration::from_millis(100)).await;
-            let ahead = OperatorEvent::Drive { linear_mps: -0.3, angular_rps: 0.0 };
-            if inputs.send((clock.now(), Event::Operator(ahead))).await.is_err() {
-                break;
+/// The longest wait for anything.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// A server on a thread of its own; it ends with the value.
+struct Stand {
+    address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Stand {
+    /// The server of a scenario in the program.
+    fn of(scenario: &str, dialect: Dialect) -> Self {
+        let mut files = load_world(Path::new(scenario)).unwrap();
+        files.scenario.dialect = dialect;
+        let session = Session::new(&files.world, &files.scenario, &files.catalogue).unwrap();
+        let (stop, stopped) = oneshot::channel();
+        let (tell, told) = mpsc::channel();
+        let thread = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_multi_thread()
+                .worker_threads(1)
+                .enable_all()
+                .build()
+                .unwrap();
+            runtime.block_on(async {
+                let listener = listen(SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
+                tell.send(listener.local_addr().unwrap()).unwrap();
+                let stop = async {
+                    let _ = stopped.await;
+                };
+                Server::new(session, listener, SPEED).run(stop).await;
+            });
+        });
+        Self { address: told.recv().unwrap(), stop: Some(stop), thread: Some(thread) }
+    }
+
+    fn client(&self) -> Client {
+        Client::connect(self.address)
+    }
+}
+
+impl Drop for Stand {
+    fn drop(&mut self) {
+        if let Some(stop) = self.stop.take() {
+            let _ = stop.send(());
+        }
+        if let Some(thread) = self.thread.take() {
+            let ended = thread.join();
+            assert!(ended.is_ok() || std::thread::panicking(), "the server panicked");
+        }
+    }
+}
+
+/// A client that types lines and reads lines.
+struct Client {
+    stream: TcpStream,
+    reader: BufReader<TcpStream>,
+}
+
+impl Client {
+    fn connect(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let reader = BufReader::new(stream.try_clone().unwrap());
+        Self { stream, reader }
+    }
+
+    /// Sends octets as they are.
+    fn send(&mut self, octets: &str) {
+        self.stream.write_all(octets.as_bytes()).unwrap();
+    }
+
+    /// The next line, its line end checked and taken off; `None` at the end of the stream.
+    fn line(&mut self) -> Option<String> {
+        let mut line = Vec::new();
+        let length = self.reader.read_until(b'\n', &mut line).expect("a line in time");
+        if length == 0 {
+            return None;
+        }
+        let line = String::from_utf8(line).unwrap();
+        Some(line.strip_suffix("\r\n").expect("lines end with CR LF").to_owned())
+    }
+
+    /// The next line that begins with `start`, others skipped.
+    fn line_of(&mut self, start: &str) -> String {
+        loop {
+            let line = self.line().unwrap_or_else(|| panic!("the stream ended before {start}"));
+            if line.starts_with(start) {
+                return line;
             }
         }
-    });
-    let live = Live::new(&mut host, clock, &address, Backoff::once(), received, |_, _| {});
-    live.run(link).await.unwrap();
-    hand.await.unwrap();
-    stop.send(()).ok();
-    server.await.unwrap();
+    }
 
-    let (agent, bytes) = host.finish().unwrap();
-    assert_eq!(agent.outcome(), Some(&Outcome::Time));
-    assert!(agent.running().unwrap().belief().path_m() > 0.05, "the operator moved the robot");
-    let recording = read(&bytes.unwrap()).unwrap();
-    let config = toml::from_str(&recording.header.config).unwrap();
-    let again = Agent::new(config, recording.header.placement.clone());
-    let mut replay = Replay::new(again, &recording);
-    while replay.step().unwrap() {}
-    let (again, _, difference) = replay.finish();
-    assert_eq!(difference, None);
-    assert_eq!(postcard::to_stdvec(&again).unwrap(), postcard::to_stdvec(&agent).unwrap());
+    /// Sends a line and gives the next one that begins with `verb`.
+    fn ask(&mut self, line: &str, verb: &str) -> String {
+        self.send(&format!("{line}\r\n"));
+        self.line_of(verb)
+    }
+
+    /// Reads until the server ends the stream.
+    fn read_to_end(mut self) -> Vec<u8> {
+        let mut rest = Vec::new();
+        let _ = self.reader.read_to_end(&mut rest);
+        rest
+    }
 }
