@@ -79,6 +79,9 @@ const CLOSING: Span = Span::from_millis(450);
 const TOLERATED_SHARE: f64 = 0.1;
 /// A row nearer than this share of the spacing to the row before tells nothing new.
 const CLOSEST: f64 = 0.4;
+/// Rows farther apart than this are thin for fitting surfaces: lines between them that come for
+/// nothing are kept.
+const DENSE_RAD: f64 = 0.0175;
 
 impl Flow {
     /// A sweep over `profile`, already clipped and turned the way it is to run; its first actions.
@@ -524,7 +527,9 @@ impl Flow {
             let cast = control.cast_time(&taken.line);
             let Some(estimate) = control.tilt.estimate(cast) else { continue };
             let closest = match self.drive {
-                FlowDrive::SetPoints { .. } => CLOSEST * self.spacing_at(estimate.angle_rad),
+                FlowDrive::SetPoints { .. } => {
+                    CLOSEST * self.spacing_at(estimate.angle_rad).min(DENSE_RAD)
+                }
                 FlowDrive::Rate { .. } => 0.0,
             };
             let nothing_new = kept.is_some_and(|tilt| (estimate.angle_rad - tilt).abs() < closest);

@@ -6,8 +6,8 @@ use crate::export::ply;
 use crate::export::tum::{self, TimedPose};
 use crate::files::replace::replace_file;
 use crate::mapping::{
-    Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations, UpdateReport,
-    observations,
+    Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations, TurnSource,
+    UpdateReport, observations,
 };
 use crate::segmentation::{SegmentationConfig, Segmenter};
 use anyhow::{Context, Result, bail};
@@ -107,7 +107,10 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
         };
         if k > 0 {
             match &odometry {
-                Some(poses) => mapper.predict(&(poses[k - 1].pose.inverse() * poses[k].pose)),
+                Some(poses) => {
+                    let increment = poses[k - 1].pose.inverse() * poses[k].pose;
+                    mapper.predict(&increment, TurnSource::Wheels);
+                }
                 None => mapper.predict_with(&Isometry3::identity(), &unknown_motion()),
             }
         }

@@ -1,13 +1,22 @@
 //! Arguments, wiring and exit codes: one file per verb.
 
+mod check;
 mod demo;
+mod eval;
+mod export;
 mod files;
+mod info;
 mod interrupt;
+mod keys;
 mod map;
 mod mission;
 mod out;
 mod paper;
+mod replay;
+mod run;
 mod segment;
+mod session;
+mod sim;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -26,10 +35,24 @@ enum Verb {
     Demo(demo::DemoArguments),
     /// One mission headless, agents and simulator in lockstep.
     Mission(mission::MissionArguments),
+    /// The agent against any USARSim server.
+    Run(run::RunArguments),
+    /// A recording through the live path.
+    Replay(replay::ReplayArguments),
+    /// The stand-in USARSim server on TCP.
+    Sim(sim::SimArguments),
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
     /// Organised scans through segmentation, localisation and mapping.
     Map(map::MapArguments),
+    /// A run against the truth in it, or two runs side by side.
+    Eval(eval::EvalArguments),
+    /// One deliverable from a run folder or a session.
+    Export(export::ExportArguments),
+    /// What a session, scan, map, scenario or configuration holds.
+    Info(info::InfoArguments),
+    /// Whether files are valid, all errors at once; what a rig can see of the ground.
+    Check(check::CheckArguments),
     /// Regenerates the paper's tables and figures from this code.
     Paper(paper::PaperArguments),
 }
@@ -39,8 +62,15 @@ pub fn run(arguments: Arguments) -> ExitCode {
     let outcome = match arguments.verb {
         Verb::Demo(arguments) => demo::run(&arguments),
         Verb::Mission(arguments) => mission::run(&arguments),
+        Verb::Run(arguments) => run::run(&arguments),
+        Verb::Replay(arguments) => replay::run(&arguments),
+        Verb::Sim(arguments) => sim::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
         Verb::Map(arguments) => map::run(&arguments),
+        Verb::Eval(arguments) => eval::run(&arguments),
+        Verb::Export(arguments) => export::run(&arguments),
+        Verb::Info(arguments) => info::run(&arguments),
+        Verb::Check(arguments) => check::run(&arguments),
         Verb::Paper(arguments) => paper::run(arguments),
     };
     outcome.unwrap_or_else(|error| {

@@ -24,18 +24,28 @@ impl RunFolder {
             Some(path) => path.to_owned(),
             None => PathBuf::from("runs").join(format!("{}_{name}", date())),
         };
-        if path.join("session.usar").exists() && !force {
-            bail!(
-                "{} holds a recording; a recording is never overwritten without --force",
-                path.display()
-            );
-        }
+        Self::check(Some(&path), force)?;
         std::fs::create_dir_all(&path)
             .with_context(|| format!("cannot make the folder {}", path.display()))?;
         if out.is_none() {
             point_latest_at(&path);
         }
         Ok(Self { path })
+    }
+
+    /// Whether a run may write into the folder `out`.
+    ///
+    /// # Errors
+    ///
+    /// When it already holds a recording and `force` is not set.
+    pub fn check(out: Option<&Path>, force: bool) -> Result<()> {
+        match out {
+            Some(path) if path.join("session.usar").exists() && !force => bail!(
+                "{} holds a recording; a recording is never overwritten without --force",
+                path.display()
+            ),
+            _ => Ok(()),
+        }
     }
 
     /// The folder.

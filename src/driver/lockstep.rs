@@ -12,12 +12,17 @@ use std::io::{self, Write};
 /// How far the simulator runs between two looks at its output: a simulated wire this long.
 const STEP: Span = Span::from_millis(5);
 
+/// How long after a lost connection an agent is connected again, if it wants to be.
+const CONNECT_AGAIN: Span = Span::from_millis(500);
+
 /// One robot's agent joined to one connection of a session.
 pub struct Pair<W: Write> {
     /// The agent and its recorder.
     pub host: Host<W>,
     connection: ConnectionId,
     splitter: LineSplitter,
+    /// When to connect again; `None` while connected.
+    reconnect: Option<Arrival>,
 }
 
 /// A session and its agents.
@@ -38,7 +43,8 @@ impl<W: Write> Lockstep<W> {
         let mut pairs = Vec::with_capacity(hosts.len());
         for host in hosts {
             let connection = session.connect();
-            let mut pair = Pair { host, connection, splitter: LineSplitter::new(MAX_LINE_OCTETS) };
+            let splitter = LineSplitter::new(MAX_LINE_OCTETS);
+            let mut pair = Pair { host, connection, splitter, reconnect: None };
             pair.feed(&mut session, &Event::Connected, now)?;
             pairs.push(pair);
         }
@@ -118,7 +124,16 @@ impl<W: Write> Lockstep<W> {
     ///
     /// When a recording cannot be closed.
     pub fn finish(self) -> io::Result<Vec<Agent>> {
-        self.pairs.into_iter().map(|pair| Ok(pair.host.finish()?.0)).collect()
+        Ok(self.finish_recordings()?.into_iter().map(|(agent, _)| agent).collect())
+    }
+
+    /// As [`finish`](Self::finish), with the sinks of the recordings.
+    ///
+    /// # Errors
+    ///
+    /// When a recording cannot be closed.
+    pub fn finish_recordings(self) -> io::Result<Vec<(Agent, Option<W>)>> {
+        self.pairs.into_iter().map(|pair| pair.host.finish()).collect()
     }
 }
 
@@ -137,9 +152,19 @@ impl<W: Write> Pair<W> {
                 self.feed(session, &Event::Line(line), now)?;
             }
         }
-        if session.is_closed(self.connection) && self.host.outcome().is_none() {
-            let event = Event::Disconnected("the server closed the connection".into());
-            return self.feed(session, &event, now);
+        match self.reconnect {
+            None if session.is_closed(self.connection) && self.host.outcome().is_none() => {
+                let event = Event::Disconnected("the server closed the connection".into());
+                self.reconnect = Some(now + CONNECT_AGAIN);
+                return self.feed(session, &event, now);
+            }
+            Some(at) if now >= at => {
+                self.connection = session.connect();
+                self.splitter = LineSplitter::new(MAX_LINE_OCTETS);
+                self.reconnect = None;
+                return self.feed(session, &Event::Connected, now);
+            }
+            _ => {}
         }
         if self.host.agent().next_wakeup().is_some_and(|at| now >= at) {
             self.feed(session, &Event::Wake, now)?;

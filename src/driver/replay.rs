@@ -1,7 +1,8 @@
 //! A recording through the same agent: every action computed again and compared.
 
 use super::host::event_of;
-use crate::mission::{Action, Agent};
+use crate::export::score::Bystander;
+use crate::mission::{Action, Agent, Event};
 use crate::protocol::encode_command;
 use crate::record::{Entry, Recording, What};
 use crate::time::Arrival;
@@ -25,17 +26,35 @@ pub struct Replay<'a> {
     next: usize,
     expected: Vec<Vec<u8>>,
     difference: Option<Difference>,
+    bystander: Bystander,
 }
 
 impl<'a> Replay<'a> {
     /// A replay of `recording` through `agent`, which is to be as fresh as the recorded one was.
     pub fn new(agent: Agent, recording: &'a Recording) -> Self {
-        Self { agent, entries: &recording.entries, next: 0, expected: Vec::new(), difference: None }
+        Self {
+            agent,
+            entries: &recording.entries,
+            next: 0,
+            expected: Vec::new(),
+            difference: None,
+            bystander: Bystander::default(),
+        }
     }
 
     /// The agent.
     pub fn agent(&self) -> &Agent {
         &self.agent
+    }
+
+    /// Readings of the session that are only compared, never used.
+    pub fn bystander(&self) -> &Bystander {
+        &self.bystander
+    }
+
+    /// Time of the next entry; `None` at the end.
+    pub fn next_arrival(&self) -> Option<Arrival> {
+        self.entries.get(self.next).map(|entry| entry.arrival)
     }
 
     /// Replays one entry; false at the end.
@@ -49,6 +68,9 @@ impl<'a> Replay<'a> {
             (What::Sent(recorded), _) => self.compare(entry, recorded),
             (_, Some(event)) => {
                 self.nothing_left_over(entry);
+                if let Event::Line(line) = &event {
+                    self.bystander.note(line);
+                }
                 for action in self.agent.handle(&event, entry.arrival) {
                     if let Action::Send(command) = action {
                         self.expected.push(encode_command(&command, self.agent.dialect()));
@@ -68,12 +90,17 @@ impl<'a> Replay<'a> {
         self.difference.as_ref()
     }
 
-    /// Ends the replay; gives the agent back.
-    pub fn finish(mut self) -> (Agent, Option<Difference>) {
+    /// Ends the replay; gives the agent back. Where the recording does not say how the mission ended,
+    /// it ends with the recording.
+    pub fn finish(mut self) -> (Agent, Bystander, Option<Difference>) {
         if let Some(last) = self.entries.last() {
             self.nothing_left_over(last);
+            if self.agent.outcome().is_none() {
+                let end = Event::End("end of the recording".into());
+                self.agent.handle(&end, last.arrival);
+            }
         }
-        (self.agent, self.difference)
+        (self.agent, self.bystander, self.difference)
     }
 
     fn compare(&mut self, entry: &Entry, recorded: &[u8]) {

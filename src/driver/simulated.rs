@@ -3,14 +3,14 @@
 use super::host::Host;
 use super::lockstep::Lockstep;
 use crate::export::coverage::{self, Passability};
-use crate::export::report::{PortalCounts, Report, VictimCounts};
+use crate::export::report::{PhaseReport, PortalCounts, Report, VictimCounts};
 use crate::export::run_folder::{self, Files};
 use crate::export::score::{pose_error, score_2019};
 use crate::export::tum::{self, TimedPose};
 use crate::files::scenario::LoadedScenario;
 use crate::mission::{Agent, Running};
 use crate::record::{Header, Writer};
-use crate::sim::{Session, Truth, World};
+use crate::sim::{Phase, Session, Truth, World};
 use crate::terrain::RobotShape;
 use crate::time::Arrival;
 use nalgebra::Point3;
@@ -136,6 +136,9 @@ impl<W: Write> SimulatedMission<W> {
         let truth_now = self.lockstep.truth(0);
         let bystander = self.lockstep.bystander(0).clone();
         let mut report = run_folder::agent_report(self.agent(), &name, scenario.seed);
+        if !scenario.phases.is_empty() {
+            report.phases = phases(&scenario.phases, report.mission_time_s);
+        }
         let world = &self.loaded.files.world;
         if let Some(running) = self.agent().running() {
             score_coverage(&mut report, running, world, self.start.as_ref());
@@ -162,6 +165,21 @@ impl<W: Write> SimulatedMission<W> {
         self.lockstep.finish()?;
         Ok(MissionResult { report, files })
     }
+}
+
+/// The scenario's phases as far as the mission came.
+fn phases(planned: &[Phase], mission_time_s: f64) -> Vec<PhaseReport> {
+    let mut from_s = 0.0;
+    let mut reached = Vec::new();
+    for phase in planned {
+        if mission_time_s.min(phase.until_s) <= from_s {
+            break;
+        }
+        let to_s = phase.until_s.min(mission_time_s);
+        reached.push(PhaseReport { name: phase.name.to_string(), from_s, to_s });
+        from_s = to_s;
+    }
+    reached
 }
 
 /// The agent's diary as text.

@@ -1,7 +1,9 @@
 //! Deliverables from a run or a recording.
 
 pub mod canvas;
+pub mod cloud;
 pub mod coverage;
+pub mod evaluate;
 mod font;
 pub mod landmarks;
 pub mod map3d;

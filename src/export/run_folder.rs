@@ -190,3 +190,30 @@ fn ground_png(grid: &Grid, belief: &Belief) -> Vec<u8> {
     written.expect("a picture of this size always fits into memory");
     bytes
 }
+
+/// Width and heights of a `ground.png`, the greatest y first; NaN where no ground was measured.
+///
+/// # Errors
+///
+/// When the bytes are no grey picture of 16 bits.
+pub fn ground_heights(bytes: &[u8]) -> Result<(usize, Vec<f32>), String> {
+    let mut reader = png::Decoder::new(std::io::Cursor::new(bytes))
+        .read_info()
+        .map_err(|error| error.to_string())?;
+    let info = reader.info();
+    if (info.color_type, info.bit_depth) != (png::ColorType::Grayscale, png::BitDepth::Sixteen) {
+        return Err(format!(
+            "{:?} of {:?} bits, expected grey of 16",
+            info.color_type, info.bit_depth
+        ));
+    }
+    let width = info.width as usize;
+    let length = reader.output_buffer_size().ok_or("the picture is too large")?;
+    let mut samples = vec![0; length];
+    reader.next_frame(&mut samples).map_err(|error| error.to_string())?;
+    let height_of = |pair: &[u8]| match u16::from_be_bytes([pair[0], pair[1]]) {
+        0 => f32::NAN,
+        value => ((f64::from(value) - GROUND_ZERO) / GROUND_STEPS) as f32,
+    };
+    Ok((width, samples.chunks_exact(2).map(height_of).collect()))
+}

@@ -121,7 +121,8 @@ pub fn at(trajectory: &[TimedPose], time_s: f64) -> Option<Isometry3<f64>> {
 }
 
 /// The 2019 rules' score with α = 1 and β = 0.5 (rules of 2019, formula of section "scoring"):
-/// half for portals, half for victims, wrong detections deducted. Alive victims count on their own.
+/// half for portals, half for victims, wrong detections deducted. The formula's last term rewards
+/// victims declared alive; no status is declared yet, so it is zero.
 pub fn score_2019(portals: (usize, usize), found: usize, wrong: usize, victims: usize) -> f64 {
     let share = |part: f64, whole: usize| if whole > 0 { part / whole as f64 } else { 0.0 };
     let exploration = share(portals.0 as f64, portals.1);

@@ -93,15 +93,36 @@ pub fn load_world(scenario: &Path) -> Result<WorldFiles, WorldFilesError> {
     let map = parse(&map_path, &read_text(&map_path)?, MapFile::parse)?;
     let robots_path = beside(&map_path, "robots.toml");
     let robots = if robots_path.exists() { read_text(&robots_path)? } else { ROBOTS.to_owned() };
+    let meshes = read_meshes(&map_path, &map)?;
+    let catalogue = parse(&robots_path, &robots, RobotCatalogue::parse)?;
+    assemble(scenario, &map_path, parsed, map, catalogue, &meshes)
+}
+
+/// Reads the map at a path with the triangle files it names.
+///
+/// # Errors
+///
+/// Everything wrong with the first file that has anything wrong.
+pub fn check_map(path: &Path) -> Result<(MapFile, World), WorldFilesError> {
+    let map = parse(path, &read_text(path)?, MapFile::parse)?;
+    let meshes = read_meshes(path, &map)?;
+    let world = World::new(&map, &meshes)
+        .map_err(|source| WorldFilesError::World { path: path.to_owned(), source })?;
+    Ok((map, world))
+}
+
+fn read_meshes(
+    map_path: &Path,
+    map: &MapFile,
+) -> Result<BTreeMap<String, Vec<u8>>, WorldFilesError> {
     let mut meshes = BTreeMap::new();
     for mesh in &map.meshes {
-        let path = beside(&map_path, &mesh.file);
+        let path = beside(map_path, &mesh.file);
         let bytes =
             std::fs::read(&path).map_err(|source| WorldFilesError::Read { path, source })?;
         meshes.insert(mesh.file.clone(), bytes);
     }
-    let catalogue = parse(&robots_path, &robots, RobotCatalogue::parse)?;
-    assemble(scenario, &map_path, parsed, map, catalogue, &meshes)
+    Ok(meshes)
 }
 
 /// The text of a scenario file, or of the built-in scenario of that name.

@@ -33,7 +33,7 @@ pub use landmark::{Landmark, LandmarkId};
 pub use mask::{MASK_CELL_M, PlaneMask};
 pub use mip::{Mip, MipConfig};
 pub use observation::{Observation, observations};
-pub use odometry::{Motion, OdometryNoise, tilted_increment};
+pub use odometry::{InertialNoise, Motion, OdometryNoise, TurnSource, tilted_increment};
 pub use report::{
     Addition, Association, LEVER_M, MovedKeyframe, Refusal, RefusalReason, UpdateReport,
     WeakDirection, weak_directions,
@@ -115,9 +115,10 @@ impl Mapper {
         &self.config
     }
 
-    /// Takes in one odometry increment: the robot's pose now in its own frame before.
-    pub fn predict(&mut self, before_from_after: &Isometry3<f64>) {
-        self.motion.append(before_from_after);
+    /// Takes in one odometry increment, the robot's pose now in its own frame before, and what
+    /// measured the turn in it.
+    pub fn predict(&mut self, before_from_after: &Isometry3<f64>, source: TurnSource) {
+        self.motion.append(before_from_after, source);
     }
 
     /// Takes in a motion that something else than the wheels measured, with its covariance as a

@@ -31,6 +31,44 @@ pub struct OdometryNoise {
     pub height_per_m: f64,
     /// Pitch and roll error in radians per metre of path. Valid: 0 to 1.
     pub attitude_per_m: f64,
+    /// What replaces the wheels' heading, height and attitude where an inertial unit gave the turn.
+    pub inertial: InertialNoise,
+}
+
+/// How wrong the change of attitude is that an inertial unit gives, and what follows from it.
+///
+/// USARSim's unit errs by 5 % of each step's change of each angle, independently from step to step, and
+/// writes two decimals (protocol reference, section 5.2): the spread grows with the root of the sum of
+/// the squared steps, not with time or way.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct InertialNoise {
+    /// Each angle, fixed part of any motion, in radians: the resolution of the two readings that a
+    /// motion lies between. Valid: above 0.
+    pub fixed_rad: f64,
+    /// Error of a step's change of angle as a share of it. Valid: 0 to 1.
+    pub step_share: f64,
+    /// Height error per metre of path: what pitch is wrong by, and what the ground does between two
+    /// readings. Valid: 0 to 1.
+    pub height_per_m: f64,
+    /// Pitch and roll error in radians per metre of path: the body rocks between readings.
+    /// Valid: 0 to 1.
+    pub attitude_per_m: f64,
+}
+
+impl Default for InertialNoise {
+    fn default() -> Self {
+        Self { fixed_rad: 0.006, step_share: 0.06, height_per_m: 0.025, attitude_per_m: 0.004 }
+    }
+}
+
+/// What a turn was measured by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum TurnSource {
+    /// The wheels of both sides.
+    Wheels,
+    /// An inertial unit.
+    Inertial,
 }
 
 impl Default for OdometryNoise {
@@ -44,6 +82,7 @@ impl Default for OdometryNoise {
             heading_per_rad: 0.12,
             height_per_m: 0.08,
             attitude_per_m: 0.06,
+            inertial: InertialNoise::default(),
         }
     }
 }
@@ -57,6 +96,12 @@ pub struct Motion {
     pub path_m: f64,
     /// Sum of the absolute turns in radians.
     pub turn_rad: f64,
+    /// Part of the path whose attitude an inertial unit gave, in metres.
+    pub inertial_path_m: f64,
+    /// Part of the turns that an inertial unit gave, in radians.
+    pub inertial_turn_rad: f64,
+    /// Sum of the squares of those turns, step by step, in rad².
+    pub inertial_steps_rad2: f64,
     /// Covariance of parts of the motion that were measured otherwise, in the frame at the beginning.
     pub measured: Matrix6<f64>,
 }
@@ -67,22 +112,32 @@ impl Default for Motion {
             before_from_after: Isometry3::identity(),
             path_m: 0.0,
             turn_rad: 0.0,
+            inertial_path_m: 0.0,
+            inertial_turn_rad: 0.0,
+            inertial_steps_rad2: 0.0,
             measured: Matrix6::zeros(),
         }
     }
 }
 
 impl Motion {
-    /// Appends one odometry increment.
-    pub fn append(&mut self, before_from_after: &Isometry3<f64>) {
+    /// Appends one odometry increment whose turn `source` measured.
+    pub fn append(&mut self, before_from_after: &Isometry3<f64>, source: TurnSource) {
         if self.measured != Matrix6::zeros() {
             self.append_measured(before_from_after, &Matrix6::zeros());
         } else {
             self.before_from_after *= before_from_after;
             self.before_from_after.rotation.renormalize();
         }
-        self.path_m += before_from_after.translation.vector.norm();
-        self.turn_rad += before_from_after.rotation.angle();
+        let path_m = before_from_after.translation.vector.norm();
+        let turn_rad = before_from_after.rotation.angle();
+        self.path_m += path_m;
+        self.turn_rad += turn_rad;
+        if source == TurnSource::Inertial {
+            self.inertial_path_m += path_m;
+            self.inertial_turn_rad += turn_rad;
+            self.inertial_steps_rad2 += turn_rad * turn_rad;
+        }
     }
 
     /// Appends a motion that was not measured by the wheels, with the covariance of its perturbation in
@@ -111,15 +166,31 @@ impl Motion {
 impl OdometryNoise {
     /// The paper's Q with the covariance of what was measured otherwise: covariance of a motion's error `[δt; δr]` in the frame at its beginning.
     pub fn covariance(&self, motion: &Motion) -> Matrix6<f64> {
-        let sum = |parts: [f64; 3]| parts.iter().map(|part| part * part).sum::<f64>();
+        let sum = |parts: &[f64]| parts.iter().map(|part| part * part).sum::<f64>();
         let (path, turn) = (motion.path_m, motion.turn_rad);
+        let (told_path, steps) = (motion.inertial_path_m, motion.inertial_steps_rad2.sqrt());
+        let (wheel_path, wheel_turn) = (path - told_path, turn - motion.inertial_turn_rad);
         // A robot that was not told to move still rocks a little on its wheels.
         let rest = if motion.is_still() { REST_SHARE } else { 1.0 };
-        let (fixed_m, fixed_rad) = (rest * self.fixed_m, rest * self.fixed_rad);
-        let position = sum([fixed_m, self.position_per_m * path, self.position_per_rad * turn]);
-        let heading = sum([fixed_rad, self.heading_per_m * path, self.heading_per_rad * turn]);
-        let height = sum([fixed_m, self.height_per_m * path, 0.0]);
-        let attitude = sum([fixed_rad, self.attitude_per_m * path, 0.0]);
+        let fixed_m = rest * self.fixed_m;
+        let inertial = &self.inertial;
+        let only_inertial = !motion.is_still() && wheel_path == 0.0 && wheel_turn == 0.0;
+        let fixed_rad = if only_inertial { inertial.fixed_rad } else { rest * self.fixed_rad };
+        let position = sum(&[fixed_m, self.position_per_m * path, self.position_per_rad * turn]);
+        let heading = sum(&[
+            fixed_rad,
+            self.heading_per_m * wheel_path,
+            self.heading_per_rad * wheel_turn,
+            inertial.step_share * steps,
+        ]);
+        let height =
+            sum(&[fixed_m, self.height_per_m * wheel_path, inertial.height_per_m * told_path]);
+        let attitude = sum(&[
+            fixed_rad,
+            self.attitude_per_m * wheel_path,
+            inertial.attitude_per_m * told_path,
+            inertial.step_share * steps,
+        ]);
         let mut covariance = Matrix6::from_diagonal(&nalgebra::Vector6::new(
             position, position, height, attitude, attitude, heading,
         ));
@@ -187,17 +258,18 @@ mod tests {
             t in prop::array::uniform3(-8.0..8.0f64), turn in -3.0..3.0f64
         ) {
             let mut motion = Motion::default();
-            motion.append(&Isometry3::new(Vector3::from(t), Vector3::z() * turn));
+            motion.append(&Isometry3::new(Vector3::from(t), Vector3::z() * turn), TurnSource::Wheels);
             prop_assert!(least_eigenvalue(&OdometryNoise::default().covariance(&motion)) > 0.0);
         }
 
         #[test]
         fn noise_does_not_depend_on_how_a_straight_way_is_cut(pieces in 1..40_usize) {
             let mut whole = Motion::default();
-            whole.append(&Isometry3::translation(2.0, 0.0, 0.0));
+            whole.append(&Isometry3::translation(2.0, 0.0, 0.0), TurnSource::Wheels);
             let mut cut = Motion::default();
             for _ in 0..pieces {
-                cut.append(&Isometry3::translation(2.0 / pieces as f64, 0.0, 0.0));
+                let piece = Isometry3::translation(2.0 / pieces as f64, 0.0, 0.0);
+                cut.append(&piece, TurnSource::Wheels);
             }
             let noise = OdometryNoise::default();
             prop_assert!((noise.covariance(&whole) - noise.covariance(&cut)).norm() < 1e-9);
@@ -220,12 +292,35 @@ mod tests {
     #[test]
     fn a_way_out_and_back_is_not_certain() {
         let mut motion = Motion::default();
-        motion.append(&Isometry3::translation(3.0, 0.0, 0.0));
-        motion.append(&Isometry3::from_parts(
-            Vector3::new(-3.0, 0.0, 0.0).into(),
-            UnitQuaternion::identity(),
-        ));
+        motion.append(&Isometry3::translation(3.0, 0.0, 0.0), TurnSource::Wheels);
+        motion.append(&Isometry3::translation(-3.0, 0.0, 0.0), TurnSource::Wheels);
         assert!(motion.before_from_after.translation.vector.norm() < 1e-12);
         assert!(OdometryNoise::default().covariance(&motion)[(0, 0)] > 0.2 * 0.2);
+    }
+
+    #[test]
+    fn an_inertial_turn_is_as_uncertain_as_its_steps() {
+        let step = Isometry3::rotation(Vector3::z() * 0.1);
+        let heading_sigma = |source: TurnSource| {
+            let mut motion = Motion::default();
+            for _ in 0..16 {
+                motion.append(&step, source);
+            }
+            OdometryNoise::default().covariance(&motion)[(5, 5)].sqrt()
+        };
+        // 16 steps of 0.1 rad: the root of the sum of the squares is 0.4 rad.
+        let expected = 0.006_f64.hypot(0.06 * 0.4);
+        assert!((heading_sigma(TurnSource::Inertial) - expected).abs() < 1e-12);
+        assert!(heading_sigma(TurnSource::Wheels) > 5.0 * expected);
+    }
+
+    #[test]
+    fn one_step_without_the_inertial_unit_is_charged_to_the_wheels() {
+        let metre = Isometry3::translation(1.0, 0.0, 0.0);
+        let mut motion = Motion::default();
+        motion.append(&metre, TurnSource::Inertial);
+        let told = OdometryNoise::default().covariance(&motion)[(2, 2)];
+        motion.append(&metre, TurnSource::Wheels);
+        assert!(OdometryNoise::default().covariance(&motion)[(2, 2)] > 4.0 * told);
     }
 }

@@ -4,6 +4,7 @@ use super::journal::{Journal, Level};
 use super::ledger::Pastime;
 use super::opening::{Opening, OpeningStep, Placement};
 use super::operator::OperatorEvent;
+use super::resume::{Put, placeable};
 use super::running::{Desk, Running, Verdict};
 use crate::protocol::{Command, Dialect, Message, ProblemKind, WirePose, parse};
 use crate::robot::{RigBuilder, core_pose};
@@ -51,13 +52,19 @@ pub struct Agent {
     operator_acts: usize,
     leased: Span,
     clock: Arrival,
+    /// Since when there is no robot in service because the link was lost, and why.
+    lost: Option<(Arrival, String)>,
+    /// The robot that was in service when the link was lost, until another takes its place.
+    kept: Option<Box<Running>>,
+    /// Whether the map frame is the level's own, so that a place in it can be named to the server.
+    map_is_level: bool,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
 enum Phase {
-    /// No link yet.
+    /// No link yet, or none any more.
     Waiting,
-    /// The session is being opened.
+    /// The session is being opened, or opened again.
     Opening(Box<Opening>),
     /// The robot is in service.
     Running(Box<Running>),
@@ -83,6 +90,9 @@ impl Agent {
             operator_acts: 0,
             leased: Span::ZERO,
             clock: Arrival::default(),
+            lost: None,
+            kept: None,
+            map_is_level: false,
         }
     }
 
@@ -98,13 +108,15 @@ impl Agent {
             Event::Line(line) => self.line(line, now, &mut out),
             Event::Operator(event) => self.operator(event, now, &mut out),
             Event::Wake => self.wake(now, &mut out),
-            Event::Disconnected(reason) => Some(Outcome::LinkLost(reason.clone())),
+            Event::Disconnected(reason) => self.disconnected(reason, now),
             Event::End(reason) => Some(match reason.as_str() {
                 "time" => Outcome::Time,
                 _ => Outcome::Stopped(reason.clone()),
             }),
         };
-        let outcome = outcome.or_else(|| self.time_is_up(now).then_some(Outcome::Time));
+        let outcome = outcome
+            .or_else(|| self.time_is_up(now).then_some(Outcome::Time))
+            .or_else(|| self.is_given_up(now));
         let mut actions: Vec<Action> = out.into_iter().map(Action::Send).collect();
         if let Some(outcome) = outcome
             && !matches!(self.phase, Phase::Ended(..))
@@ -118,18 +130,20 @@ impl Agent {
     pub fn next_wakeup(&self) -> Option<Arrival> {
         let watchdog = self
             .last_line
-            .filter(|_| !self.silent)
+            .filter(|_| !self.silent && !matches!(self.phase, Phase::Waiting))
             .map(|at| at + Span::from_seconds(self.config.mission.silence_s));
         let end = self.began.and_then(|began| {
             let limit_s = self.config.mission.time_limit_s;
             (limit_s > 0.0).then(|| began + Span::from_seconds(limit_s))
         });
         let inner = match &self.phase {
-            Phase::Waiting | Phase::Ended(..) => return None,
+            Phase::Ended(..) => return None,
+            Phase::Waiting => None,
             Phase::Opening(opening) => opening.next_wakeup(),
             Phase::Running(running) => running.next_wakeup(),
         };
-        [inner, watchdog, end].into_iter().flatten().min()
+        let given_up = self.lost.as_ref().map(|(since, _)| *since + self.reconnect());
+        [inner, watchdog, end, given_up].into_iter().flatten().min()
     }
 
     /// The dialect to encode commands in.
@@ -170,12 +184,12 @@ impl Agent {
         }
     }
 
-    /// The robot in service, also after the mission's end.
+    /// The robot in service, also after the mission's end and while a lost link is sought.
     pub fn running(&self) -> Option<&Running> {
         match &self.phase {
             Phase::Running(running) => Some(running),
             Phase::Ended(_, running) => running.as_deref(),
-            Phase::Waiting | Phase::Opening(_) => None,
+            Phase::Waiting | Phase::Opening(_) => self.kept.as_deref(),
         }
     }
 
@@ -214,15 +228,73 @@ impl Agent {
             self.phase = Phase::Opening(Box::new(Opening::observing(&self.config.mission.class)));
             return;
         }
+        let placement = match &self.kept {
+            // The old robot is gone with its connection: a new one takes its place.
+            Some(running) if self.map_is_level => {
+                let pose = running.belief().world_from_robot();
+                let place = placeable(&pose);
+                self.journal.note(
+                    now,
+                    Level::Info,
+                    format!(
+                        "connected again; asking for a robot at ({:.2}, {:.2})",
+                        pose.translation.x, pose.translation.y
+                    ),
+                );
+                Placement::At(place)
+            }
+            Some(_) => {
+                self.journal.note(now, Level::Warn, "connected again; going back to the start");
+                self.placement.clone()
+            }
+            None => {
+                self.journal.note(now, Level::Info, "connected; opening the session");
+                self.placement.clone()
+            }
+        };
         let mission = &self.config.mission;
-        self.journal.note(now, Level::Info, "connected; opening the session");
         self.phase = Phase::Opening(Box::new(Opening::new(
             self.config.opening,
             &mission.class,
             &mission.name,
-            self.placement.clone(),
+            placement,
             now,
         )));
+    }
+
+    /// The link is down. What was believed is kept for the robot that the next link brings.
+    fn disconnected(&mut self, reason: &str, now: Arrival) -> Option<Outcome> {
+        if self.config.mission.observe {
+            return None;
+        }
+        self.journal.note(now, Level::Warn, format!("link lost: {reason}"));
+        match std::mem::replace(&mut self.phase, Phase::Waiting) {
+            Phase::Running(mut running) => {
+                running.ledger.spend(now, Pastime::Think);
+                self.kept = Some(running);
+            }
+            ended @ Phase::Ended(..) => {
+                self.phase = ended;
+                return None;
+            }
+            Phase::Waiting | Phase::Opening(_) => {}
+        }
+        // Another server may answer next.
+        self.dialect = None;
+        self.last_line = None;
+        self.silent = false;
+        self.lost.get_or_insert_with(|| (now, reason.to_owned()));
+        None
+    }
+
+    fn reconnect(&self) -> Span {
+        Span::from_seconds(self.config.mission.reconnect_s)
+    }
+
+    /// The outcome once a lost link was sought long enough.
+    fn is_given_up(&self, now: Arrival) -> Option<Outcome> {
+        let (since, reason) = self.lost.as_ref()?;
+        (now - *since >= self.reconnect()).then(|| Outcome::LinkLost(reason.clone()))
     }
 
     fn line(&mut self, line: &[u8], now: Arrival, out: &mut Vec<Command>) -> Option<Outcome> {
@@ -294,11 +366,22 @@ impl Agent {
         {
             self.warn(now, format!("ground nearer than {nearest_m:.2} m ahead cannot be seen"));
         }
-        let start = placed.map_or_else(Isometry3::identity, level_start);
+        self.lost = None;
         let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
         desk.info(format!("in service: {} on {:?}", rig.class, rig.dialect));
-        let running = Running::new(rig, start, &mut desk);
-        self.phase = Phase::Running(Box::new(running));
+        let running = match self.kept.take() {
+            Some(mut running) => {
+                let put = if self.map_is_level { Put::Back } else { Put::AtStart };
+                running.resume(rig, put, &mut desk);
+                running
+            }
+            None => {
+                self.map_is_level = placed.is_some();
+                let start = placed.map_or_else(Isometry3::identity, level_start);
+                Box::new(Running::new(rig, start, &mut desk))
+            }
+        };
+        self.phase = Phase::Running(running);
     }
 
     fn warn(&mut self, now: Arrival, text: String) {
@@ -365,7 +448,7 @@ impl Agent {
                 }
                 Some(running)
             }
-            _ => None,
+            _ => self.kept.take(),
         };
         self.phase = Phase::Ended(outcome.clone(), running);
         actions.push(Action::Finish(outcome));

@@ -6,6 +6,7 @@ use super::pilot::Progress;
 use super::running::{Activity, Desk, Drive, Look, Running, Verdict};
 use crate::acquisition::{ParkState, Profile, SweepRequest};
 use crate::exploration::Decision;
+use crate::geometry::wrap_pi;
 use crate::navigation::{CostMap, DriveCommand, RecoveryStep, Trouble};
 use crate::robot::HeadPose;
 use crate::terrain::CellClass;
@@ -23,8 +24,24 @@ const WEDGED: u32 = 2;
 /// Rest after nothing could be planned, so that what moves may move on.
 const REST: Span = Span::from_millis(2_000);
 
-/// Share of the ring about the start that must be seen as ground for the gap inside it to be assumed.
-const RING_SEEN: f64 = 0.9;
+/// Lines of a fixed laser before the first choice.
+const PLANAR_LINES: usize = 5;
+
+/// A goal within this way is a turn in place.
+const STAYS_M: f64 = 0.3;
+
+/// Share of the ring about the start that must be known, as ground or as an obstacle, for the gap
+/// inside it to be assumed.
+const RING_SEEN: f64 = 0.85;
+
+/// How far beyond the nearest visible ground the gap before it is judged, in metres.
+const BRIDGE_M: f64 = 0.25;
+
+/// Most gaps that are assumed in one mission: they are for the start, not for exploring.
+const MOST_BRIDGES: usize = 4;
+
+/// Where the ring cannot be seen for an obstacle before it, the obstacle is at most this much nearer.
+const RING_SHADE_M: f64 = 0.35;
 
 impl Running {
     /// One cycle of whatever is being done.
@@ -53,12 +70,18 @@ impl Running {
             }
             Activity::Stand => {
                 self.stop(desk);
-                if self.mode != Mode::Teleop && self.acquisition.is_some() {
+                if self.mode != Mode::Teleop && self.may_explore(desk.config) {
                     return self.choose(desk);
                 }
             }
         }
         Verdict::GoOn
+    }
+
+    /// Whether the robot may drive on its own: it can see edges, or the floor was vouched for.
+    pub(super) fn may_explore(&self, config: &AgentConfig) -> bool {
+        self.acquisition.is_some()
+            || (config.belief.terrain.flat_floor && self.planar_lines >= PLANAR_LINES)
     }
 
     /// Stands still, then looks.
@@ -121,6 +144,13 @@ impl Running {
                     return self.nothing_left(retry_at, desk);
                 }
             };
+            // Kept on its own disc: there may be ground ahead that only the blind gap cuts off.
+            let stays = choice.way_m < STAYS_M;
+            if stays && self.bridge_blind_ring(desk) {
+                self.explorer.reached();
+                self.activity = Activity::Rest { until: desk.now };
+                return Verdict::GoOn;
+            }
             match self.planner.plan(&self.grid, &costs, &pose, choice.cell) {
                 Ok(path) => {
                     desk.info(format!(
@@ -148,7 +178,7 @@ impl Running {
     /// Nothing is worth a sweep: first the gap about the start, then a finer look, then a second try
     /// of what failed; then the mission is done.
     fn nothing_left(&mut self, retry_at: Option<Arrival>, desk: &mut Desk<'_>) -> Verdict {
-        if !self.bridged && self.bridge_blind_ring(desk) {
+        if self.bridge_blind_ring(desk) {
             self.activity = Activity::Rest { until: desk.now };
             return Verdict::GoOn;
         }
@@ -169,42 +199,66 @@ impl Running {
         Verdict::Explored
     }
 
-    /// Takes the ground between the robot's own disc and the nearest ring that it can see for safe,
-    /// if that ring is ground all about: the committee does not put robots on the lip of a hole.
+    /// Takes the gap ahead, between the robot's own disc and the nearest ground that it can see, for
+    /// ground, if what lies beyond is whole: the committee does not put robots on the lip of a hole.
+    /// To the sides the rig sees only farther ground, so nothing is assumed there.
     fn bridge_blind_ring(&mut self, desk: &mut Desk<'_>) -> bool {
-        self.bridged = true;
-        let Some(blind_m) = self.rig.visibility().and_then(|sight| sight.nearest_from_centre_m)
-        else {
-            return false;
-        };
-        let ring_m = blind_m + 0.25;
+        let Some(sight) = self.rig.visibility() else { return false };
+        let Some(blind_m) = sight.nearest_from_centre_m else { return false };
         let pose = self.pose2();
-        let samples = 72;
-        let (mut seen, mut edges) = (0, 0);
+        let bridged_here = self.bridged.iter().any(|bridged| {
+            bridged.distance_m(&pose.point()) < STAYS_M
+                && wrap_pi(bridged.yaw_rad - pose.yaw_rad).abs() < 0.5
+        });
+        if bridged_here || self.bridged.len() >= MOST_BRIDGES {
+            return false;
+        }
+        let ring_m = blind_m + BRIDGE_M;
+        let visible = |degrees: &u32| {
+            let bearing_rad = f64::from(*degrees).to_radians();
+            [bearing_rad, -bearing_rad].iter().all(|bearing_rad| {
+                let nearest_m = sight.nearest_m(*bearing_rad);
+                nearest_m.is_some_and(|near_m| near_m < ring_m - 0.5 * BRIDGE_M)
+            })
+        };
+        let Some(widest) = (0..=90).take_while(visible).last() else { return false };
+        let half_angle_rad = f64::from(widest).to_radians();
+        let (mut seen, mut edges) = (0_u32, 0_u32);
+        let inner_m = (ring_m - RING_SHADE_M).max(0.1);
+        let steps = ((ring_m - inner_m) / self.grid.cell_m().max(0.01)).ceil() as u32;
+        let samples = 2 * widest + 1;
         for i in 0..samples {
-            // The half circle ahead: the sweep that was just taken looked there.
-            let angle = std::f64::consts::PI * (f64::from(i) / f64::from(samples - 1) - 0.5);
-            let at = pose.driven(0.0, angle).driven(ring_m, 0.0);
-            match self.grid.class_at(at.x_m, at.y_m) {
-                CellClass::DropOff | CellClass::Suspect => edges += 1,
-                CellClass::Unknown | CellClass::FlatFree => {}
-                _ => seen += 1,
+            let angle = f64::from(i).to_radians() - half_angle_rad;
+            let along = |step: u32| {
+                let away_m = inner_m + (ring_m - inner_m) * f64::from(step) / f64::from(steps);
+                let at = pose.driven(0.0, angle).driven(away_m, 0.0);
+                self.grid.class_at(at.x_m, at.y_m)
+            };
+            let on_the_way: Vec<CellClass> = (0..=steps).map(along).collect();
+            if on_the_way.iter().any(|class| class.is_edge()) {
+                edges += 1;
+            } else if on_the_way.contains(&CellClass::Occupied)
+                || !matches!(on_the_way.last(), Some(CellClass::Unknown | CellClass::FlatFree))
+            {
+                // Ground, or an obstacle that hides it: neither is a hole.
+                seen += 1;
             }
         }
         let share = f64::from(seen) / f64::from(samples);
+        let gap = format!("ground nearer than {ring_m:.2} m cannot be seen from here");
         if edges > 0 || share < RING_SEEN {
-            desk.warn(format!(
-                "ground nearer than {ring_m:.2} m was never seen, and the ring about it is not whole \
-                 ({:.0} % ground, {edges} edges): standing still",
+            desk.info(format!(
+                "{gap}, and what lies beyond, {widest}° to either side, is not whole ({:.0} % known, \
+                 {edges} edges): it is not assumed",
                 100.0 * share
             ));
             return false;
         }
+        self.bridged.push(pose);
         desk.warn(format!(
-            "ground nearer than {ring_m:.2} m cannot be seen from here; the ring about it is, so the \
-             gap is assumed"
+            "{gap}; what lies beyond, {widest}° to either side, is whole, so the gap is assumed"
         ));
-        self.belief.assume(ring_m);
+        self.belief.assume_ahead(ring_m, half_angle_rad);
         self.refresh_grid(desk.now);
         true
     }
@@ -227,7 +281,7 @@ impl Running {
             desk.warn("the goal took too long; choosing another");
             return self.look_here(desk);
         }
-        if self.belief.leg_m() > desk.config.mission.leg_m {
+        if self.acquisition.is_some() && self.belief.leg_m() > desk.config.mission.leg_m {
             desk.info("far from the last sweep: taking one on the way");
             return self.look_here(desk);
         }
@@ -264,7 +318,11 @@ impl Running {
         match self.fan(desk.config) {
             Some(request) => self.settle(Look::Sweep(request), desk),
             None => {
+                // A fixed laser looks all the time: what it shows from here is in the grid already.
                 self.stop(desk);
+                self.refresh_grid(desk.now);
+                let pose = self.pose2();
+                self.explorer.swept(&self.grid, &pose, std::f64::consts::PI);
                 self.activity = Activity::Rest { until: desk.now + REST };
             }
         }

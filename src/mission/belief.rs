@@ -14,7 +14,7 @@ use crate::scan::{ImageRow, LaserLine, RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
 use crate::time::Stamp;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -68,6 +68,20 @@ struct TrackPoint {
     keyframe_from_robot: Isometry3<f64>,
 }
 
+/// Ground ahead of a robot that its laser could not see and that was assumed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct AssumedSector {
+    world_from_robot: Isometry3<f64>,
+    radius_m: f64,
+    half_angle_rad: f64,
+}
+
+impl AssumedSector {
+    fn enter(&self, terrain: &mut Terrain) {
+        terrain.assume_ahead(&self.world_from_robot, self.radius_m, self.half_angle_rad);
+    }
+}
+
 /// A range image in the terrain and where it was taken.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Archived {
@@ -107,6 +121,7 @@ pub struct Belief {
     archive: Vec<Archived>,
     start: Isometry3<f64>,
     assumed_radius_m: f64,
+    assumed_ahead: Vec<AssumedSector>,
     path_m: f64,
 }
 
@@ -141,6 +156,7 @@ impl Belief {
             archive: Vec::new(),
             start,
             assumed_radius_m,
+            assumed_ahead: Vec::new(),
             path_m: 0.0,
             config,
         }
@@ -175,12 +191,13 @@ impl Belief {
         self.live.project(&self.world_from_robot())
     }
 
-    /// Takes the disc of `radius_m` about the robot for ground.
-    pub fn assume(&mut self, radius_m: f64) {
-        let pose = self.world_from_robot();
-        self.live.assume(&pose, radius_m);
-        self.settled.assume(&pose, radius_m);
-        self.assumed_radius_m = self.assumed_radius_m.max(radius_m);
+    /// Takes the sector of `radius_m` and `half_angle_rad` ahead of the robot for ground.
+    pub fn assume_ahead(&mut self, radius_m: f64, half_angle_rad: f64) {
+        let world_from_robot = self.world_from_robot();
+        let sector = AssumedSector { world_from_robot, radius_m, half_angle_rad };
+        sector.enter(&mut self.live);
+        sector.enter(&mut self.settled);
+        self.assumed_ahead.push(sector);
     }
 
     /// Begins anew at the same place for a robot of another shape. Motion so far is kept.
@@ -213,8 +230,8 @@ impl Belief {
 
     /// Takes in a wheel odometry reading of the time `stamp`.
     pub fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
-        let Some(increment) = self.motion.wheels(wheels) else { return };
-        self.mapper.predict(&increment);
+        let Some((increment, source)) = self.motion.wheels(wheels) else { return };
+        self.mapper.predict(&increment, source);
         self.keyframe_from_robot *= increment;
         self.keyframe_from_robot.rotation.renormalize();
         let step_m = increment.translation.vector.norm();
@@ -236,6 +253,23 @@ impl Belief {
     pub fn restart_wheels(&mut self) {
         self.motion.restart_wheels();
         self.history.clear();
+    }
+
+    /// Takes in that the robot is at `world_from_robot` now though nothing measured how it came there:
+    /// a server put it there. `sigma_m` and `sigma_rad` say how well that place fits this map.
+    pub fn put_at(&mut self, world_from_robot: &Isometry3<f64>, sigma_m: f64, sigma_rad: f64) {
+        self.restart_wheels();
+        let increment = self.world_from_robot().inverse() * world_from_robot;
+        let spread = Vector6::new(sigma_m, sigma_m, sigma_m, sigma_rad, sigma_rad, sigma_rad);
+        let covariance = Matrix6::from_diagonal(&spread.component_mul(&spread));
+        self.mapper.predict_with(&increment, &covariance);
+        self.keyframe_from_robot *= increment;
+        self.keyframe_from_robot.rotation.renormalize();
+    }
+
+    /// Where the robot began.
+    pub fn start(&self) -> &Isometry3<f64> {
+        &self.start
     }
 
     /// Where the robot was at `stamp`, relative to the last keyframe, and how fast it turned then in
@@ -412,9 +446,32 @@ impl Belief {
             .collect();
         self.settled.rebuild(self.archive.iter().map(|item| &item.image).zip(&poses));
         self.settled.assume(&self.start, self.assumed_radius_m);
+        for sector in &self.assumed_ahead {
+            sector.enter(&mut self.settled);
+        }
         for point in &self.track {
             self.settled.drive_over(&(keyframes[point.keyframe] * point.keyframe_from_robot));
         }
+    }
+
+    /// Every point of every sweep and line in the map, where it is believed now. Points beyond what the
+    /// terrain reads are among them.
+    pub fn points(&self) -> impl Iterator<Item = Point3<f64>> + '_ {
+        let keyframes = self.mapper.keyframes();
+        self.archive.iter().flat_map(move |item| {
+            let world_from_robot = keyframes[item.keyframe] * item.keyframe_from_robot;
+            let world_from_scan = world_from_robot * item.image.robot_from_scan;
+            let (rows, columns) = (item.image.rows().len(), item.image.columns());
+            (0..rows * columns).filter_map(move |at| {
+                let (row, column) = (at / columns, at % columns);
+                match item.image.at(row, column) {
+                    Return::Hit(range_m) => {
+                        Some(world_from_scan * item.image.point_at(row, column, range_m))
+                    }
+                    _ => None,
+                }
+            })
+        })
     }
 
     /// The trajectory as it is believed now, later corrections included.

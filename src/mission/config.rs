@@ -60,6 +60,9 @@ pub struct MissionConfig {
     pub assumed_margin_m: f64,
     /// Silence of the server after which the wheels are stopped, in seconds. (0, 10]
     pub silence_s: f64,
+    /// How long a lost connection is sought before the mission ends, in seconds; 0 ends it at once.
+    /// [0, 3600]
+    pub reconnect_s: f64,
     /// How often the grid is made anew while driving, in seconds. [0.1, 10]
     pub grid_period_s: f64,
     /// Age of a clear guard line up to which the robot may drive on, in seconds. (0, 5]
@@ -83,6 +86,7 @@ impl Default for MissionConfig {
             settle_s: 0.6,
             assumed_margin_m: 0.1,
             silence_s: 1.5,
+            reconnect_s: 60.0,
             grid_period_s: 1.0,
             guard_age_s: 0.65,
             goal_timeout_s: 90.0,
@@ -112,6 +116,12 @@ impl AgentConfig {
         );
         let silence = m.silence_s > 0.0 && m.silence_s <= 10.0;
         check(silence, "mission.silence_s", m.silence_s, "more than 0, at most 10");
+        check(
+            (0.0..=3600.0).contains(&m.reconnect_s),
+            "mission.reconnect_s",
+            m.reconnect_s,
+            "0 to 3600",
+        );
         check(
             (0.1..=10.0).contains(&m.grid_period_s),
             "mission.grid_period_s",

@@ -12,9 +12,11 @@ mod event;
 mod journal;
 mod ledger;
 mod motion;
+mod observe;
 mod opening;
 mod operator;
 mod pilot;
+mod resume;
 mod running;
 mod teleop;
 

@@ -1,7 +1,7 @@
 //! From wheel and inertial readings to one increment of motion at a time.
 
 use crate::geometry::wrap_pi;
-use crate::mapping::tilted_increment;
+use crate::mapping::{TurnSource, tilted_increment};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
@@ -53,8 +53,8 @@ impl MotionTracker {
     }
 
     /// Takes in a wheel odometry pose; gives the robot's pose now in its own frame at the reading
-    /// before. `None` for the first reading, which is only the origin.
-    pub fn wheels(&mut self, wheels: PlanarPose) -> Option<Isometry3<f64>> {
+    /// before, and what measured its turn. `None` for the first reading, which is only the origin.
+    pub fn wheels(&mut self, wheels: PlanarPose) -> Option<(Isometry3<f64>, TurnSource)> {
         let before = self.wheels.replace(wheels);
         let attitude_before = std::mem::replace(&mut self.attitude_at_wheels, self.attitude);
         let before = before?;
@@ -63,22 +63,24 @@ impl MotionTracker {
         let (sin, cos) = (before.heading_rad + 0.5 * wheel_turn).sin_cos();
         let (dx, dy) = (wheels.x_m - before.x_m, wheels.y_m - before.y_m);
         let (along, across) = (cos * dx + sin * dy, cos * dy - sin * dx);
-        let (turn, level_before, level_after) = match (attitude_before, self.attitude) {
+        let (turn, level_before, level_after, source) = match (attitude_before, self.attitude) {
             (Some(a), Some(b)) => (
                 wrap_pi(b.heading_rad - a.heading_rad),
                 (a.roll_rad, a.pitch_rad),
                 (b.roll_rad, b.pitch_rad),
+                TurnSource::Inertial,
             ),
-            _ => (wheel_turn, (0.0, 0.0), (0.0, 0.0)),
+            _ => (wheel_turn, (0.0, 0.0), (0.0, 0.0), TurnSource::Wheels),
         };
         let (sin, cos) = (0.5 * turn).sin_cos();
-        Some(tilted_increment(
+        let increment = tilted_increment(
             cos * along - sin * across,
             sin * along + cos * across,
             turn,
             level_before,
             level_after,
-        ))
+        );
+        Some((increment, source))
     }
 
     /// Forgets the last wheel reading: after a reconnect the odometry of a new robot starts at zero.
@@ -107,7 +109,9 @@ mod tests {
             x += 0.05 * (heading + 0.5 * turn).cos();
             y += 0.05 * (heading + 0.5 * turn).sin();
             heading += turn;
-            world *= tracker.wheels(pose(x, y, wrap_pi(heading))).unwrap();
+            let (increment, source) = tracker.wheels(pose(x, y, wrap_pi(heading))).unwrap();
+            assert_eq!(source, TurnSource::Wheels);
+            world *= increment;
         }
         let expected = nalgebra::Rotation2::new(-0.3) * nalgebra::Vector2::new(x, y);
         assert!((world.translation.vector.xy() - expected).norm() < 1e-9);
@@ -119,7 +123,8 @@ mod tests {
         tracker.attitude(BodyAttitude::default());
         tracker.wheels(pose(0.0, 0.0, 0.0));
         tracker.attitude(BodyAttitude { heading_rad: 0.5, ..Default::default() });
-        let increment = tracker.wheels(pose(0.0, 0.0, FRAC_PI_2)).unwrap();
+        let (increment, source) = tracker.wheels(pose(0.0, 0.0, FRAC_PI_2)).unwrap();
+        assert_eq!(source, TurnSource::Inertial);
         assert!((increment.rotation.euler_angles().2 - 0.5).abs() < 1e-12);
     }
 
@@ -130,7 +135,7 @@ mod tests {
         tracker.attitude(nose_up);
         tracker.wheels(pose(0.0, 0.0, 0.0));
         tracker.attitude(nose_up);
-        let increment = tracker.wheels(pose(1.0, 0.0, 0.0)).unwrap();
+        let (increment, _) = tracker.wheels(pose(1.0, 0.0, 0.0)).unwrap();
         let world = nalgebra::UnitQuaternion::from_euler_angles(0.0, -0.3, 0.0)
             * increment.translation.vector;
         assert!((world.z - 0.3_f64.sin()).abs() < 1e-9);

@@ -12,7 +12,9 @@ use crate::exploration::{ExploreConfig, Explorer, FrontierLeft};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
 use crate::protocol::message::Sen;
 use crate::protocol::{Command, Message};
-use crate::robot::{BodySpeed, HeadPose, HeadReading, InsReading, OdometryReading, Rig};
+use crate::robot::{
+    BodySpeed, HeadPose, HeadReading, InsReading, OdometryReading, Rig, WheelCount,
+};
 use crate::scan::LaserLine;
 use crate::terrain::{Grid, RobotShape};
 use crate::time::{Arrival, Span, Stamp};
@@ -109,18 +111,20 @@ pub struct Running {
     pub(super) candidates: Candidates,
     victim_config: VictimConfig,
     pub(super) frontiers_left: Vec<FrontierLeft>,
-    pub(super) bridged: bool,
+    /// Where a gap that could not be seen was assumed.
+    pub(super) bridged: Vec<Pose2>,
     pub(super) finest_here: bool,
     pub(super) give_ups: u32,
     pub(super) battery_s: Option<i64>,
     /// The command in force and when it was sent.
-    command: DriveCommand,
-    commanded: Option<Arrival>,
-    wheels: Option<PlanarPose>,
-    last_wheels: PlanarPose,
-    latest_stamp: Stamp,
+    pub(super) command: DriveCommand,
+    pub(super) commanded: Option<Arrival>,
+    pub(super) wheels: Option<PlanarPose>,
+    pub(super) last_wheels: PlanarPose,
+    pub(super) latest_stamp: Stamp,
     first_scan_due: bool,
-    planar_lines: usize,
+    pub(super) planar_lines: usize,
+    wheel_count: WheelCount,
 }
 
 /// How a cycle ended for the mission as a whole.
@@ -164,7 +168,7 @@ impl Running {
             candidates: Candidates::default(),
             victim_config: config.victims,
             frontiers_left: Vec::new(),
-            bridged: false,
+            bridged: Vec::new(),
             finest_here: false,
             give_ups: 0,
             battery_s: None,
@@ -175,6 +179,7 @@ impl Running {
             latest_stamp: Stamp::default(),
             first_scan_due: true,
             planar_lines: 0,
+            wheel_count: WheelCount::default(),
             acquisition,
             belief,
             shape,
@@ -190,6 +195,12 @@ impl Running {
             return;
         }
         let (Some(acquisition), Some(view)) = (&self.acquisition, self.rig.ground_view()) else {
+            if desk.config.mission.mode == Mode::Auto && !desk.config.belief.terrain.flat_floor {
+                desk.warn(
+                    "this rig cannot see an edge: standing still; `belief.terrain.flat_floor = true` \
+                     lets it explore a floor that you vouch for, `--mode teleop` lets you drive",
+                );
+            }
             return;
         };
         if self.mode == Mode::Teleop {
@@ -283,21 +294,20 @@ impl Running {
     fn sensor(&mut self, sensor: &Sen, desk: &mut Desk<'_>) {
         match sensor {
             Sen::Odometry(message) => {
-                let OdometryReading { odom_from_robot, stamp } = self.rig.odometry(message);
-                let wheels = PlanarPose {
-                    x_m: odom_from_robot.translation.x,
-                    y_m: odom_from_robot.translation.y,
-                    heading_rad: odom_from_robot.rotation.angle(),
-                };
-                match stamp {
-                    Some(stamp) => self.take_wheels(wheels, stamp),
-                    None => self.wheels = Some(wheels),
+                self.wheel_count.retire();
+                let reading = self.rig.odometry(message);
+                self.take_odometry(&reading);
+            }
+            Sen::Tachometer(message) => {
+                if let Some(reading) = self.wheel_count.tachometer(message, &self.rig.drive) {
+                    self.take_odometry(&reading);
                 }
             }
             Sen::Ins(message) => self.take_attitude(&self.rig.ins(message)),
             Sen::Inu(message) => self.take_attitude(&self.rig.inu(message)),
             Sen::RangeScanner(message) => {
                 match self.rig.laser_line(message, Some(self.latest_stamp)) {
+                    Ok(line) if desk.config.mission.observe => self.observed_line(&line),
                     Ok(line) => self.line(&line, desk),
                     Err(error) => desk.warn(format!("laser line not used: {error}")),
                 }
@@ -320,6 +330,18 @@ impl Running {
             pitch_rad: reading.pitch_rad,
             heading_rad: reading.yaw_rad,
         });
+    }
+
+    fn take_odometry(&mut self, reading: &OdometryReading) {
+        let wheels = PlanarPose {
+            x_m: reading.odom_from_robot.translation.x,
+            y_m: reading.odom_from_robot.translation.y,
+            heading_rad: reading.odom_from_robot.rotation.angle(),
+        };
+        match reading.stamp {
+            Some(stamp) => self.take_wheels(wheels, stamp),
+            None => self.wheels = Some(wheels),
+        }
     }
 
     fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
@@ -362,7 +384,12 @@ impl Running {
     /// A line of a laser that does not tilt: flat occupancy.
     fn planar_line(&mut self, line: &LaserLine) {
         let robot_from_sensor = self.rig.robot_from_sensor(HeadPose::default());
-        if self.belief.take_flat_line(line, &robot_from_sensor) {
+        self.take_level_line(line, &robot_from_sensor);
+    }
+
+    /// A line at the laser's own height: flat occupancy.
+    pub(super) fn take_level_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) {
+        if self.belief.take_flat_line(line, robot_from_sensor) {
             self.planar_lines += 1;
         }
     }
@@ -567,7 +594,7 @@ impl Running {
 }
 
 /// The rig as the terrain sees it.
-fn shape_of(rig: &Rig) -> RobotShape {
+pub(super) fn shape_of(rig: &Rig) -> RobotShape {
     RobotShape {
         length_m: rig.body.length_m,
         width_m: rig.body.width_m,

@@ -23,6 +23,7 @@ mod signs;
 mod truth;
 mod visibility;
 mod warning;
+mod wheel_count;
 
 pub use beams::Beams;
 pub use builder::RigBuilder;
@@ -39,6 +40,7 @@ pub use signs::{SignVerdict, pan_sign, tilt_sign};
 pub use truth::ScoringTruth;
 pub use visibility::{GroundSight, GroundView, Visibility};
 pub use warning::RigWarning;
+pub use wheel_count::WheelCount;
 
 #[cfg(test)]
 mod tests;

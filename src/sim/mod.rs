@@ -3,6 +3,7 @@
 //! It shares nothing with the estimator but the protocol, the mathematics and the clock types: a
 //! simulator that used the estimator's code would agree with its mistakes.
 
+mod camera;
 mod catalogue;
 mod file_check;
 mod glam;
@@ -13,6 +14,7 @@ mod pan_tilt;
 mod physics;
 mod scenario;
 mod sensor;
+pub mod server;
 mod session;
 mod solid;
 mod spec;
@@ -23,6 +25,7 @@ mod victim;
 mod wire;
 mod world;
 
+pub use camera::{Picture, Screen, View};
 pub use catalogue::{RobotCatalogue, RobotClass, WireFacts};
 pub use file_check::{SpecError, Violation};
 pub use map_file::{

@@ -102,6 +102,16 @@ pub enum PhaseName {
     Operator,
 }
 
+impl std::fmt::Display for PhaseName {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Autonomous => "autonomous",
+            Self::Handoff => "handoff",
+            Self::Operator => "operator",
+        })
+    }
+}
+
 /// One robot of the scenario.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

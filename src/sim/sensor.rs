@@ -10,6 +10,7 @@ mod rescue;
 mod suite;
 mod wheels;
 
+pub(crate) use contact::Camera;
 pub(crate) use inertial::{Ins, WorldPose};
 pub(crate) use ranging::{Scanner, Sonar, UDK_CONES, UDK_MAX_INCIDENCE_RAD, UDK_TRACES};
 pub(crate) use rescue::{TagMemory, TagReader, VictimSensor};

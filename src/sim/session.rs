@@ -33,6 +33,7 @@ mod connection;
 mod fault;
 mod reply;
 mod robot;
+mod screen;
 mod setting;
 #[cfg(test)]
 mod tests;
@@ -48,12 +49,14 @@ use super::sensor::{Suite, TagMemory};
 use super::surroundings::RobotBody;
 use super::truth::{CastTruth, Score, Truth};
 use super::world::World;
+use crate::protocol::command::Query;
 use crate::protocol::message::{Conf, Greeting, ItemsConf, Nfo};
 use crate::protocol::{Dialect, Message, encode_message};
 use crate::time::{Span, Stamp};
 use connection::Connection;
 use fault::{Faults, Sudden};
 use robot::{Robot, Stage};
+use screen::Shown;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -66,7 +69,7 @@ struct Planned {
 
 /// One world with its robots and clients, advanced from outside.
 pub struct Session {
-    world: World,
+    world: Arc<World>,
     catalogue: RobotCatalogue,
     scenario: Scenario,
     planned: Vec<Planned>,
@@ -74,6 +77,7 @@ pub struct Session {
     robots: Vec<Robot>,
     connections: BTreeMap<ConnectionId, Connection>,
     tags: TagMemory,
+    shown: Shown,
     faults: Faults,
     /// Scores of robots that are gone, by name.
     past: BTreeMap<String, Truth>,
@@ -123,7 +127,8 @@ impl Session {
             ticks: Noise::new(scenario.seed, u64::MAX - 1),
             next_robot: 1,
             next_connection: 1,
-            world: world.clone(),
+            shown: Shown::default(),
+            world: Arc::new(world.clone()),
             catalogue: catalogue.clone(),
             scenario: scenario.clone(),
         };
@@ -160,9 +165,20 @@ impl Session {
 
     /// The client is gone; its robots are destroyed.
     pub fn disconnect(&mut self, id: ConnectionId) {
-        let Some(connection) = self.connections.remove(&id) else { return };
-        for key in connection.robots() {
+        let Some(mut connection) = self.connections.remove(&id) else { return };
+        for key in connection.take_robots() {
             self.destroy(key);
+        }
+        if connection.multi_view {
+            self.number_views();
+        }
+    }
+
+    /// The client has sent its last. At the next tick what it still asked is done and answered, then
+    /// its robots are destroyed and the connection is closed.
+    pub fn finish(&mut self, id: ConnectionId) {
+        if let Some(connection) = self.connections.get_mut(&id) {
+            connection.finished = true;
         }
     }
 
@@ -179,6 +195,11 @@ impl Session {
     /// The whole lines that a client has to read, in order.
     pub fn take_output(&mut self, id: ConnectionId) -> Vec<u8> {
         self.connections.get_mut(&id).map(Connection::take_output).unwrap_or_default()
+    }
+
+    /// Which servers are stood in for.
+    pub fn dialect(&self) -> Dialect {
+        self.scenario.dialect
     }
 
     /// Level time.
@@ -261,6 +282,7 @@ impl Session {
         let ids: Vec<ConnectionId> = self.connections.keys().copied().collect();
         for id in &ids {
             self.obey(*id);
+            self.bid_farewell(*id);
         }
         let bodies: Vec<RobotBody> = self.robots.iter().map(Robot::body).collect();
         for id in &ids {
@@ -273,6 +295,26 @@ impl Session {
             let stalled = self.faults.stalled(&name, self.now);
             if let Some(connection) = self.connections.get_mut(&id) {
                 connection.deliver(self.now, stalled);
+            }
+        }
+    }
+
+    /// Answers what a client asked that has sent its last, and lets its robots go: before the clients
+    /// after it are heard, so that one who comes back finds its place free.
+    fn bid_farewell(&mut self, id: ConnectionId) {
+        let finished = |connection: &&Connection| connection.finished && !connection.closed;
+        while let Some(connection) = self.connections.get(&id).filter(finished) {
+            if connection.geo.is_empty() && connection.conf.is_empty() {
+                break;
+            }
+            self.answer(id);
+        }
+        if let Some(connection) = self.connections.get_mut(&id)
+            && connection.finished
+        {
+            connection.close();
+            for key in connection.take_robots() {
+                self.destroy(key);
             }
         }
     }
@@ -306,9 +348,7 @@ impl Session {
                     self.connections.values_mut().find(|connection| connection.robot == Some(key));
                 if let Some(connection) = owner {
                     connection.close();
-                    let keys = connection.robots();
-                    connection.robot = None;
-                    connection.earlier.clear();
+                    let keys = connection.take_robots();
                     keys.into_iter().for_each(|key| self.destroy(key));
                 }
             }
@@ -371,6 +411,7 @@ impl Session {
         robot.vehicle.remove(&mut self.physics);
         self.past.insert(robot.name.clone(), robot.truth(self.now));
         self.past_scores.insert(robot.name, robot.score.reborn());
+        self.number_views();
     }
 
     /// UDK sends each camera's configuration once, unasked.
@@ -379,7 +420,7 @@ impl Session {
             return;
         }
         let Some(robot) = self.robot(key) else { return };
-        for camera in reply::camera_confs(robot, &crate::protocol::command::Query::default()) {
+        for camera in reply::camera_confs(robot, &Query::default()) {
             let conf = ItemsConf {
                 type_name: "Camera".to_owned(),
                 items: vec![camera],

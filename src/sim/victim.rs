@@ -35,6 +35,11 @@ impl BodyPart {
             Self::Foot => "Foot",
         }
     }
+
+    /// Whether it shows skin rather than cloth.
+    pub(crate) fn is_bare(self) -> bool {
+        matches!(self, Self::Head | Self::Arm | Self::Hand)
+    }
 }
 
 /// How a victim rests.

@@ -89,6 +89,22 @@ impl Terrain {
         self.stand_on(&floor, radius_m, Seen::Assumed, |_, _| true);
     }
 
+    /// Takes a sector ahead of the robot for ground, `half_angle_rad` to either side of its heading and
+    /// out to `radius_m`: the gap between the robot and the nearest ground that its laser can see.
+    pub fn assume_ahead(
+        &mut self,
+        world_from_robot: &Isometry3<f64>,
+        radius_m: f64,
+        half_angle_rad: f64,
+    ) {
+        let floor = FloorPlane::under(world_from_robot, &self.shape);
+        let robot_from_world = world_from_robot.inverse();
+        self.stand_on(&floor, radius_m, Seen::Assumed, |x, y| {
+            let p = robot_from_world * Point3::new(x, y, floor.z_at(x, y));
+            p.y.atan2(p.x).abs() <= half_angle_rad
+        });
+    }
+
     /// Takes the hull's own footprint for ground: the robot stands on it ([`Seen::Driven`]).
     ///
     /// Call it along the way; it keeps the robot's own track drivable where the laser could not look,
@@ -409,5 +425,29 @@ impl Terrain {
                     .map(move |surface| (cell, f64::from(surface.z_m)))
             })
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ground_assumed_ahead_ends_at_the_sides_of_the_sector() {
+        let mut terrain = Terrain::new(TerrainConfig::default(), RobotShape::default());
+        let left = nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, 0.5);
+        let pose = Isometry3::from_parts(nalgebra::Translation3::new(1.0, 2.0, 0.2), left);
+        terrain.assume(&pose, 0.3);
+        terrain.assume_ahead(&pose, 0.8, 0.6);
+        let grid = terrain.project(&pose);
+        let class = |bearing: f64, away_m: f64| {
+            let p = pose * Point3::new(away_m * bearing.cos(), away_m * bearing.sin(), 0.0);
+            grid.class_at(p.x, p.y)
+        };
+        assert_eq!(class(0.0, 0.7), CellClass::Assumed);
+        assert_eq!(class(0.5, 0.7), CellClass::Assumed);
+        assert_eq!(class(0.8, 0.7), CellClass::Unknown);
+        assert_eq!(class(0.0, 0.95), CellClass::Unknown);
+        assert_eq!(class(std::f64::consts::PI, 0.7), CellClass::Unknown);
     }
 }

@@ -364,7 +364,10 @@ impl<'a> Level<'a> {
     fn mark_sure(&self, grid: &mut Grid) {
         let flat = self.terrain.config.flat_floor;
         let seeds: Vec<bool> = (0..self.z_m.len())
-            .map(|at| !self.z_m[at].is_nan() && (self.seen[at] != Seen::Interpolated || flat))
+            .map(|at| match flat {
+                true => grid.cells[at].class.is_drivable(),
+                false => !self.z_m[at].is_nan() && self.seen[at] != Seen::Interpolated,
+            })
             .collect();
         let reach = (grid.sure_m / grid.cell_m) as f32 + 1e-3;
         let away = distances(&seeds, grid.width, reach + 1.0);
@@ -420,6 +423,7 @@ impl<'a> Level<'a> {
         }
         match chunk.flat(place) {
             FLAT_OCCUPIED.. => CellClass::Occupied,
+            ..=FLAT_FREE if self.terrain.config.flat_floor => CellClass::Assumed,
             ..=FLAT_FREE => CellClass::FlatFree,
             _ => CellClass::Unknown,
         }

@@ -343,7 +343,8 @@ async fn what_is_unknown_is_kept_and_is_no_problem() {
 #[test]
 fn every_script_is_played() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/scripted/scripts");
-    let tests = [include_str!("hazards.rs"), include_str!("sessions.rs")].concat();
+    let tests = [include_str!("hazards.rs"), include_str!("sessions.rs"), include_str!("agent.rs")]
+        .concat();
     let mut unplayed = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();

@@ -24,6 +24,7 @@
 //!
 //! At the end the server waits until the client has closed, so that its last lines are read.
 
+mod agent;
 mod hazards;
 mod runner;
 mod script;

@@ -97,7 +97,11 @@ impl Session {
         if !outcome.lines.is_empty() {
             robot.note_casts(stamp, now);
         }
-        let answer = setting::answer(robot.dialect, set, outcome.result, stamp);
+        let dialect = robot.dialect;
+        if dialect == Dialect::Ut2004 {
+            self.choose_view(id, &set.form);
+        }
+        let answer = setting::answer(dialect, set, outcome.result, stamp);
         for message in answer.into_iter().chain(outcome.lines) {
             self.send(id, &message);
         }
@@ -126,6 +130,12 @@ impl Session {
 
     /// Makes a robot. A class that nobody knows, and a place that another robot takes, get silence.
     fn init(&mut self, id: ConnectionId, init: &Init) {
+        if self.scenario.dialect == Dialect::Ut2004 && is_class(&init.class_name, "MultiView") {
+            if let Some(connection) = self.connections.get_mut(&id) {
+                connection.multi_view = true;
+            }
+            return self.number_views();
+        }
         let name = init.name.clone().filter(|name| !name.is_empty());
         let name = name.unwrap_or_else(|| NAMELESS.to_owned());
         let Some(class) = self.class_for(&init.class_name, &name) else {
@@ -163,7 +173,9 @@ impl Session {
             score,
             now: self.now,
             message_interval_s: self.scenario.timing.message_interval_s,
+            first_tile: self.next_tile(),
         }));
+        self.number_views();
         self.announce_cameras(id, key);
     }
 
@@ -229,6 +241,11 @@ impl Session {
             apart < CROWDED * (size(class) + size(&robot.class)) / 2.0
         })
     }
+}
+
+/// Whether INIT names a class, with its package or without.
+fn is_class(given: &str, class: &str) -> bool {
+    given.rsplit('.').next().is_some_and(|short| short.eq_ignore_ascii_case(class))
 }
 
 /// CAMERA of 2.x is MISPKG's rotation for the first unit, with a zoom.

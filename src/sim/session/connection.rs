@@ -33,6 +33,10 @@ pub(super) struct Connection {
     /// Robots that this client made before its present one; they go when it goes.
     pub(super) earlier: Vec<RobotKey>,
     pub(super) closed: bool,
+    /// The client has sent its last.
+    pub(super) finished: bool,
+    /// It splits the screen (UT2004).
+    pub(super) multi_view: bool,
     pub(super) geo: VecDeque<Query>,
     pub(super) conf: VecDeque<Query>,
     splitter: LineSplitter,
@@ -48,6 +52,8 @@ impl Connection {
             robot: None,
             earlier: Vec::new(),
             closed: false,
+            finished: false,
+            multi_view: false,
             geo: VecDeque::new(),
             conf: VecDeque::new(),
             splitter: LineSplitter::new(LONGEST_COMMAND),
@@ -130,8 +136,8 @@ impl Connection {
         self.under_way.clear();
     }
 
-    /// All robots that this client made.
-    pub(super) fn robots(&self) -> Vec<RobotKey> {
-        self.earlier.iter().copied().chain(self.robot).collect()
+    /// All robots that this client made; it has none after that.
+    pub(super) fn take_robots(&mut self) -> Vec<RobotKey> {
+        self.earlier.drain(..).chain(self.robot.take()).collect()
     }
 }

@@ -1,6 +1,7 @@
 //! Answers to GETGEO and GETCONF.
 
 use super::robot::Robot;
+use super::screen::corner;
 use crate::protocol::command::Query;
 use crate::protocol::message::{
     ActuatorConf, ActuatorGeo, ActuatorLinkConf, CameraConf, Conf, Geo, ItemConf, ItemsConf,
@@ -391,13 +392,13 @@ pub(super) fn camera_confs(robot: &Robot, query: &Query) -> Vec<CameraConf> {
         .filter(|(_, camera)| matches(query, &camera.mounting.name))
         .map(|(tile, camera)| {
             let [width, height] = camera.size.map(i64::from);
-            let tile = tile as i64;
+            let offset = corner(robot.first_tile + tile).map(i64::from);
             let unit = |fov_rad: f64| {
                 Some(if udk { wire::round(fov_rad.to_degrees(), 4) } else { cut4(fov_rad) })
             };
             CameraConf {
                 name: camera.mounting.name.clone(),
-                tile_offset: udk.then_some([tile % 2 * width, tile / 2 * height]),
+                tile_offset: udk.then_some(offset),
                 tile_size: udk.then_some([width, height]),
                 default_fov: unit(camera.default_fov_rad),
                 min_fov: unit(camera.min_fov_rad),

@@ -45,6 +45,10 @@ pub(super) struct Robot {
     pub(super) score: Score,
     pub(super) casts: VecDeque<CastTruth>,
     pub(super) inside: Inside,
+    /// Its tile of a split screen, or -1.
+    pub(super) view: i64,
+    /// The tile of its first camera (UDK).
+    pub(super) first_tile: usize,
     spawned: Stamp,
     solids: Arc<Vec<(Isometry3<f64>, Solid)>>,
     radius_m: f64,
@@ -77,6 +81,7 @@ pub(super) struct Birth {
     pub(super) score: Score,
     pub(super) now: Stamp,
     pub(super) message_interval_s: f64,
+    pub(super) first_tile: usize,
 }
 
 impl Robot {
@@ -98,6 +103,8 @@ impl Robot {
             score,
             casts: VecDeque::new(),
             inside: Inside { odometry_scale: 1.0, ..Inside::default() },
+            view: -1,
+            first_tile: birth.first_tile,
             spawned: now,
             solids,
             // Every part lies within the extents, the origin among them.
@@ -350,7 +357,7 @@ impl Robot {
             joints: Vec::new(),
             light_on: Some(self.light),
             light_intensity: Some(light_intensity),
-            view: (!udk).then_some(-1),
+            view: (!udk).then_some(self.view),
             extra: Vec::new(),
         })
     }

@@ -1,0 +1,139 @@
+//! `usar eval`: a run against the truth in it, or two runs side by side.
+
+use super::files::write_stdout;
+use super::mission::Format;
+use crate::driver::simulated::passability;
+use crate::export::coverage::Passability;
+use crate::export::evaluate::{Evaluation, evaluate};
+use crate::files::run;
+use crate::files::world::{WorldFiles, built_in_names, load_world};
+use crate::terrain::RobotShape;
+use anyhow::{Context, Result};
+use clap::Args;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Arguments of `usar eval`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  usar eval run/\n  usar eval run/ other/ --format json")]
+pub struct EvalArguments {
+    /// Run folder
+    run: PathBuf,
+    /// A second one, set beside the first
+    run2: Option<PathBuf>,
+    /// Scenario of the runs, where its name in the report is not one in the program
+    #[arg(long, value_name = "FILE")]
+    scenario: Option<PathBuf>,
+    /// Form of the scores
+    #[arg(long, value_enum, default_value_t, help_heading = "Output")]
+    format: Format,
+}
+
+/// Runs the verb.
+///
+/// # Errors
+///
+/// A folder that is no run, a scenario that cannot be used.
+pub fn run(arguments: &EvalArguments) -> Result<ExitCode> {
+    let folders: Vec<&Path> =
+        std::iter::once(&arguments.run).chain(&arguments.run2).map(PathBuf::as_path).collect();
+    let scores: Vec<Evaluation> = folders
+        .iter()
+        .map(|folder| score(folder, arguments.scenario.as_deref()))
+        .collect::<Result<_>>()?;
+    write_stdout(&match (arguments.format, scores.as_slice()) {
+        (Format::Json, [only]) => serde_json::to_string_pretty(only)? + "\n",
+        (Format::Json, both) => serde_json::to_string_pretty(both)? + "\n",
+        (Format::Text, both) => table(&folders, both),
+    })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn score(folder: &Path, scenario: Option<&Path>) -> Result<Evaluation> {
+    let files = run::load(folder)?;
+    let world = match scenario {
+        Some(path) => Some(load_world(path)?),
+        None => known_world(&files.report.scenario)?,
+    };
+    if world.is_none() {
+        eprintln!(
+            "warning: {}: scenario `{}` is not known, so coverage and planes are not scored; name \
+             its file with --scenario",
+            folder.display(),
+            files.report.scenario
+        );
+    }
+    if files.truth.is_empty() {
+        eprintln!("warning: {}: no truth.tum, so no pose is scored", folder.display());
+    }
+    let limits = world.as_ref().map(limits).transpose()?;
+    Ok(evaluate(&files, world.as_ref().map(|world| &world.world).zip(limits.as_ref())))
+}
+
+/// The world of a scenario in the program.
+fn known_world(name: &str) -> Result<Option<WorldFiles>> {
+    match built_in_names().find(|known| *known == name) {
+        Some(known) => Ok(Some(load_world(Path::new(known))?)),
+        None => Ok(None),
+    }
+}
+
+/// What the scenario's first robot can pass.
+fn limits(world: &WorldFiles) -> Result<Passability> {
+    let models = world.scenario.models(&world.catalogue)?;
+    let class = models.first().context("the scenario has no robot")?;
+    let [length_m, width_m, height_m] =
+        class.wire.dimensions_m.unwrap_or_else(|| class.extents_m());
+    Ok(passability(&RobotShape {
+        length_m,
+        width_m,
+        height_m,
+        base_above_floor_m: class.origin_height_m(),
+        wheel_radius_m: class.wheels.radius_m,
+        ..RobotShape::default()
+    }))
+}
+
+/// The scores as a table, one column a run.
+fn table(folders: &[&Path], scores: &[Evaluation]) -> String {
+    let names: String =
+        folders.iter().map(|folder| format!("  {:>22}", folder.display())).collect();
+    let mut text = format!("{:<28}{names}\n", "");
+    let mut row = |name: &str, value: &dyn Fn(&Evaluation) -> Option<String>| {
+        let cells: String = scores
+            .iter()
+            .map(|score| format!("  {:>22}", value(score).unwrap_or_else(|| "-".into())))
+            .collect();
+        let _ = writeln!(text, "{name:<28}{cells}");
+    };
+    row("scenario", &|score| Some(score.scenario.clone()));
+    row("outcome", &|score| Some(score.outcome.clone()));
+    row("mission time, s", &|score| Some(format!("{:.0}", score.mission_time_s)));
+    row("true path, m", &|score| score.true_path_m.map(|v| format!("{v:.1}")));
+    row("ATE rmse, m", &|score| score.ate.map(|ate| format!("{:.4}", ate.rmse_m)));
+    row("ATE max, m", &|score| score.ate.map(|ate| format!("{:.4}", ate.max_m)));
+    row("final error, m", &|score| score.ate.map(|ate| format!("{:.4}", ate.final_m)));
+    row("final error, deg", &|score| score.ate.map(|ate| format!("{:.3}", ate.final_deg)));
+    row("RPE over 1 m, m", &|score| score.rpe.map(|rpe| format!("{:.4}", rpe.translation_rmse_m)));
+    row("RPE over 1 m, deg", &|score| score.rpe.map(|rpe| format!("{:.3}", rpe.rotation_rmse_deg)));
+    row("drift, % of path", &|score| score.drift_percent.map(|v| format!("{v:.3}")));
+    row("reachable, m2", &|score| score.reachable_m2.map(|v| format!("{v:.1}")));
+    row("explored, m2", &|score| score.explored_m2.map(|v| format!("{v:.1}")));
+    row("coverage", &|score| score.coverage.map(|v| format!("{v:.4}")));
+    row("planes matched / not", &|score| {
+        score.planes.map(|planes| format!("{} / {}", planes.matched, planes.unmatched))
+    });
+    row("plane offset rmse, m", &|score| score.planes.map(|p| format!("{:.4}", p.offset_rmse_m)));
+    row("plane offset median, m", &|score| {
+        score.planes.map(|p| format!("{:.4}", p.offset_median_m))
+    });
+    row("plane tilt rmse, deg", &|score| score.planes.map(|p| format!("{:.3}", p.tilt_rmse_deg)));
+    row("plane tilt median, deg", &|score| {
+        score.planes.map(|p| format!("{:.3}", p.tilt_median_deg))
+    });
+    row("falls", &|score| score.falls.map(|v| v.to_string()));
+    row("collisions", &|score| score.collisions.map(|v| v.to_string()));
+    row("victims found", &|score| score.victims_found.map(|v| v.to_string()));
+    text
+}

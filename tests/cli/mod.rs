@@ -1,0 +1,244 @@
+//! The program as its user meets it: exit codes, one clear line for bad input, files.
+
+use assert_cmd::Command;
+use std::fs;
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::Output;
+use tempfile::TempDir;
+
+/// Agent settings under which the first sweep comes early and a silent server is given up soon.
+const QUICK: &str = "[mission]\nfine_sweep_at_start = false\n\
+                     [opening]\ngreeting_timeout_s = 0.3\nsta_timeout_s = 0.5\n";
+
+fn usar(arguments: &[&str]) -> Output {
+    Command::cargo_bin("usar").unwrap().args(arguments).output().unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Lines on standard error that are neither warnings nor the agent's diary.
+fn errors(output: &Output) -> Vec<String> {
+    stderr(output).lines().filter(|line| line.starts_with("error")).map(str::to_owned).collect()
+}
+
+/// One clear line and exit code 1.
+fn fails_with(arguments: &[&str], parts: &[&str]) {
+    let output = usar(arguments);
+    let errors = errors(&output);
+    assert_eq!((output.status.code(), errors.len()), (Some(1), 1), "{}", stderr(&output));
+    for part in parts {
+        assert!(errors[0].contains(part), "`{part}` is not in `{}`", errors[0]);
+    }
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A short mission's run folder.
+fn mission(folder: &TempDir, name: &str, seconds: &str) -> std::path::PathBuf {
+    let config = folder.path().join("quick.toml");
+    fs::write(&config, QUICK).unwrap();
+    let out = folder.path().join(name);
+    let output = usar(&[
+        "mission",
+        "box",
+        "--time-limit",
+        seconds,
+        "--config",
+        text(&config),
+        "--out",
+        text(&out),
+    ]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    out
+}
+
+#[test]
+fn every_verb_shows_an_example_in_its_help() {
+    let verbs = [
+        "demo", "mission", "sim", "run", "replay", "segment", "map", "paper", "export", "eval",
+        "info", "check",
+    ];
+    for verb in verbs {
+        let output = usar(&[verb, "--help"]);
+        let help = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success() && help.contains("Example"), "{verb}: {help}");
+        assert!(help.contains(&format!("usar {verb}")), "{verb}: {help}");
+    }
+}
+
+#[test]
+fn an_unknown_verb_and_a_bad_value_are_misuse() {
+    for arguments in
+        [&["fly"][..], &["mission", "box", "--time-limit", "-1"], &["run", "--location", "1,2"]]
+    {
+        assert_eq!(usar(arguments).status.code(), Some(2), "{arguments:?}");
+    }
+}
+
+#[test]
+fn no_server_is_one_line_and_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    drop(listener);
+    let out = folder.path().join("run");
+    fails_with(&["run", "--server", &address, "--out", text(&out)], &["no server", &address]);
+    assert!(!out.exists());
+}
+
+#[test]
+fn a_server_that_never_answers_init_is_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("quick.toml");
+    fs::write(&config, QUICK).unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let server = std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        // Takes everything until the client has gone.
+        std::io::copy(&mut stream, &mut std::io::sink()).unwrap();
+    });
+    let out = folder.path().join("run");
+    fails_with(
+        &["run", "--server", &address, "--config", text(&config), "--out", text(&out)],
+        &["no STA", "USARBot.P3AT", &address],
+    );
+    server.join().unwrap();
+    assert!(out.join("session.usar").exists(), "a run is always recorded");
+}
+
+#[test]
+fn a_scenario_with_a_missing_map_and_a_misspelt_key_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = folder.path().join("s.toml");
+    let head = "map = \"gone.toml\"\n[[robot]]\nname = \"R1\"\nclass = \"USARBot.P3AT\"\n";
+    fs::write(&scenario, head).unwrap();
+    fails_with(&["mission", text(&scenario)], &["gone.toml", "No such file"]);
+    fs::write(&scenario, head.replace("class", "clas")).unwrap();
+    fails_with(&["mission", text(&scenario)], &["s.toml:4", "`clas`", "did you mean `class`"]);
+    let config = folder.path().join("c.toml");
+    fs::write(&config, "[mission]\nsetle_s = 1.0\n").unwrap();
+    let arguments = ["mission", "box", "--config", text(&config)];
+    fails_with(&arguments, &["c.toml:2", "`setle_s`", "did you mean `settle_s`"]);
+}
+
+#[test]
+fn a_scan_that_is_not_organised_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let scan = folder.path().join("list.pcd");
+    let header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\n\
+                  HEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 2\nDATA ascii\n";
+    fs::write(&scan, format!("{header}0 0 0\n1 0 0\n")).unwrap();
+    fails_with(&["segment", text(&scan)], &["list.pcd", "not organised", "HEIGHT"]);
+}
+
+#[test]
+fn a_run_is_recorded_verified_scored_and_exported() {
+    let folder = tempfile::tempdir().unwrap();
+    let (one, two) = (mission(&folder, "one", "45"), mission(&folder, "two", "45"));
+    let session = one.join("session.usar");
+    // Two processes, one seed.
+    assert!(fs::read(&session).unwrap() == fs::read(two.join("session.usar")).unwrap());
+
+    let verified = usar(&["replay", text(&one), "--verify"]);
+    assert!(verified.status.success(), "{}", stderr(&verified));
+    assert!(String::from_utf8_lossy(&verified.stdout).contains("verified"));
+
+    let bytes = fs::read(&session).unwrap();
+    let cut = folder.path().join("cut.usar");
+    fs::write(&cut, &bytes[..bytes.len() - 10]).unwrap();
+    let verified = usar(&["replay", text(&cut)]);
+    assert_eq!(verified.status.code(), Some(3), "{}", stderr(&verified));
+    assert_eq!(usar(&["check", text(&cut)]).status.code(), Some(3));
+
+    let scored = usar(&["eval", text(&one), text(&two), "--format", "json"]);
+    let scores: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
+    let report: serde_json::Value =
+        serde_json::from_slice(&fs::read(one.join("report.json")).unwrap()).unwrap();
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let explored = number(&scores[0]["explored_m2"]) - number(&report["explored_m2"]);
+    assert!(explored.abs() < 0.5, "{explored}");
+    assert!(number(&scores[1]["ate"]["rmse_m"]) < 0.2);
+    assert!(number(&scores[0]["planes"]["matched"]) >= 1.0);
+
+    let exported = |to: &str, name: &str| {
+        let path = folder.path().join(name);
+        let output = usar(&["export", text(&one), "--to", to, "-o", text(&path)]);
+        assert!(output.status.success(), "{to}: {}", stderr(&output));
+        fs::read(&path).unwrap_or_default()
+    };
+    assert!(exported("ply", "p.ply").starts_with(b"ply\n"));
+    assert!(exported("tum", "t.tum") == fs::read(one.join("trajectory.tum")).unwrap());
+    assert!(exported("png3d", "m.png").starts_with(b"\x89PNG"));
+    assert!(exported("pcd", "c.pcd").windows(11).any(|w| w == b"DATA binary"));
+    exported("map-server", "map");
+    let yaml = fs::read_to_string(folder.path().join("map.yaml")).unwrap();
+    assert!(yaml.starts_with("image: map.pgm\n") && folder.path().join("map.pgm").exists());
+
+    let info = usar(&["info", text(&session), "--format", "json"]);
+    let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+    assert_eq!((info["kind"].as_str(), info["scenario"].as_str()), (Some("session"), Some("box")));
+
+    // A recording is never overwritten.
+    let arguments = ["mission", "box", "--time-limit", "1", "--out", text(&one)];
+    fails_with(&arguments, &["holds a recording", "--force"]);
+}
+
+#[test]
+fn a_recording_with_a_changed_action_fails_its_verification() {
+    use usar_agent::record::{What, Writer, read};
+    let folder = tempfile::tempdir().unwrap();
+    let out = mission(&folder, "run", "15");
+    let mut recording = read(&fs::read(out.join("session.usar")).unwrap()).unwrap();
+    let sent = recording.entries.iter_mut().rev().find_map(|entry| match &mut entry.what {
+        What::Sent(line) => Some(line),
+        _ => None,
+    });
+    *sent.unwrap() = b"DRIVE {Left 1} {Right 1} {Normalized false}\r\n".to_vec();
+    let mut writer = Writer::new(Vec::new(), &recording.header).unwrap();
+    for entry in &recording.entries {
+        writer.push(entry).unwrap();
+    }
+    let changed = folder.path().join("changed.usar");
+    fs::write(&changed, writer.finish().unwrap()).unwrap();
+    fails_with(&["replay", text(&changed), "--verify"], &["differs", "{Left 1}", "entry"]);
+}
+
+#[test]
+fn deliverables_that_are_not_built_are_misuse() {
+    let folder = tempfile::tempdir().unwrap();
+    for to in ["geotiff", "mcap", "mif"] {
+        let output = usar(&["export", text(folder.path()), "--to", to]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(stderr(&output).contains("not built yet"), "{}", stderr(&output));
+    }
+}
+
+#[test]
+fn check_reports_every_mistake_of_every_file() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = tempfile::tempdir().unwrap();
+    let bad = folder.path().join("bad.toml");
+    fs::write(&bad, "[mission]\nsetle_s = 1.0\nguard_age = 2\n").unwrap();
+    let good = root.join("scenarios/box.toml");
+    let output = usar(&["check", text(&good), text(&bad), text(&root.join("maps/box.toml"))]);
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(errors(&output).len(), 2, "{}", stderr(&output));
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(said.contains("valid scenario") && said.contains("valid map"), "{said}");
+}
+
+#[test]
+fn the_ground_that_a_rig_can_see_is_printed() {
+    let output = usar(&["check", "--rig", "box"]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{}", stderr(&output));
+    // A laser 0.6 m above the floor that tilts by 60° sees the floor 0.35 m ahead of itself.
+    assert!(said.contains("laser height   0.6") || said.contains("laser height   0.7"), "{said}");
+    assert!(said.contains("nearest ground") && said.contains("blind radius"), "{said}");
+}
