@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking; helpers count as tests too")]
 
+mod acquisition;
 mod cli;
 mod layering;
 mod mapping;

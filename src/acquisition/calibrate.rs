@@ -7,6 +7,7 @@ use super::identify::{Observation, ServoFit, identify, lag_of};
 use super::profile::{Profile, QuarterDegrees};
 use super::scan::Scan;
 use super::sweep::Sweep;
+use super::track::AxisTrack;
 use super::{HeadAction, HeadEvent};
 use crate::robot::{Demand, GroundView};
 use crate::scan::LaserLine;
@@ -280,9 +281,16 @@ impl Calibration {
             identify(moving.start_rad, limits, &moving.commands, seen, prior)
         };
         let by_readings = law_of(&readings);
-        let line_lag = by_readings
-            .as_ref()
-            .and_then(|fit| lag_of(fit, moving.start_rad, limits, &moving.commands, &fixes));
+        let line_lag = by_readings.as_ref().and_then(|fit| {
+            let mut track = AxisTrack::new(Some(fit.law), limits, moving.start_rad);
+            for &(stamp, demand) in &moving.commands {
+                track.demand(stamp + fit.delay, demand);
+            }
+            for reading in control.tilt.readings().iter().filter(|r| r.stamp >= moving.began) {
+                track.read(*reading);
+            }
+            lag_of(&track, &fixes)
+        });
         // Readings without a dated line leave the lag unknown by half an interval either way.
         let supposed = by_readings.as_ref().filter(|_| line_lag.is_none()).map(|_| {
             let half = 0.5 * control.rhythm.interval().seconds();

@@ -74,8 +74,14 @@ struct Taken {
 const IDLE_LINES: u32 = 15;
 /// Time given to a last reading.
 const CLOSING: Span = Span::from_millis(450);
+/// A row may be this share of the spacing off, where that is more than the configured error: rows lie
+/// far apart where the ground is near, and there an angle moves a point by little.
+const TOLERATED_SHARE: f64 = 0.1;
 /// A row nearer than this share of the spacing to the row before tells nothing new.
 const CLOSEST: f64 = 0.4;
+/// Rows farther apart than this are thin for fitting surfaces: lines between them that come for
+/// nothing are kept.
+const DENSE_RAD: f64 = 0.0175;
 
 impl Flow {
     /// A sweep over `profile`, already clipped and turned the way it is to run; its first actions.
@@ -234,9 +240,10 @@ impl Flow {
     /// The spacing that the times are known well enough for.
     fn step_at(&self, tilt_rad: f64, control: &HeadControl, config: &AcquisitionConfig) -> f64 {
         let sigma_s = control.timing.sigma.seconds().max(1e-4);
-        let fastest = config.flow_sigma_deg.to_radians() / sigma_s;
-        let most = fastest * control.rhythm.interval().seconds();
-        self.spacing_at(tilt_rad).min(most.max(super::QUARTER_DEGREE_RAD))
+        let spacing = self.spacing_at(tilt_rad);
+        let tolerated = config.flow_sigma_deg.to_radians().max(TOLERATED_SHARE * spacing);
+        let most = tolerated / sigma_s * control.rhythm.interval().seconds();
+        spacing.min(most.max(super::QUARTER_DEGREE_RAD))
     }
 
     fn on_line(
@@ -520,7 +527,9 @@ impl Flow {
             let cast = control.cast_time(&taken.line);
             let Some(estimate) = control.tilt.estimate(cast) else { continue };
             let closest = match self.drive {
-                FlowDrive::SetPoints { .. } => CLOSEST * self.spacing_at(estimate.angle_rad),
+                FlowDrive::SetPoints { .. } => {
+                    CLOSEST * self.spacing_at(estimate.angle_rad).min(DENSE_RAD)
+                }
                 FlowDrive::Rate { .. } => 0.0,
             };
             let nothing_new = kept.is_some_and(|tilt| (estimate.angle_rad - tilt).abs() < closest);

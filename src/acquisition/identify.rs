@@ -1,7 +1,7 @@
 //! Finding a joint's servo law from what it did.
 
 use super::servo::{HINGE_GAP_RAD, ServoLaw};
-use super::track::AxisTrack;
+use super::track::{AxisEstimate, AxisTrack};
 use crate::geometry::AngleSpan;
 use crate::robot::Demand;
 use crate::time::{Span, Stamp};
@@ -84,24 +84,23 @@ pub fn identify(
     case.report(law, delay_s)
 }
 
-/// The time by which observations of another kind lag the axis of `commands` and `fit`: the lag of
-/// lines behind their stamps, for instance. `None` if too few of them were made in motion.
-pub fn lag_of(
-    fit: &ServoFit,
-    start_rad: f64,
-    limits: Option<AngleSpan>,
-    commands: &[(Stamp, Demand)],
-    observations: &[Observation],
-) -> Option<(Span, Span)> {
-    let case = Case { start_rad, limits, commands, observations };
-    let delay_s = fit.delay.seconds();
-    // A later cast looks like an earlier command.
-    let cost = |lag_s: f64| case.cost(fit.law, delay_s - lag_s, 1.0);
+/// The time by which observations of another kind lag the axis of `track`: the lag of lines behind
+/// their stamps, for instance, and its standard deviation. `None` if too few of them were made in
+/// motion.
+///
+/// `track` holds the joint's own readings where there are any, so that what is uncertain of its
+/// commands, a server's frame for instance, is not mistaken for an uncertain lag.
+pub fn lag_of(track: &AxisTrack, observations: &[Observation]) -> Option<(Span, Span)> {
+    let cost = |lag_s: f64| {
+        let lag = Span::from_seconds(lag_s);
+        mean_cost(observations, 1.0, |stamp| track.estimate(stamp + lag))
+    };
     let grid = (-20..=80).map(|i| 0.005 * f64::from(i));
     let coarse = grid.min_by(|a, b| cost(*a).total_cmp(&cost(*b)))?;
     let ([lag_s, ..], _) = minimise([coarse, 0.0, 0.0], |x| cost(x[0]));
-    let report = case.report(fit.law, delay_s - lag_s)?;
-    Some((Span::from_seconds(lag_s), report.time_sigma))
+    let lag = Span::from_seconds(lag_s);
+    let residuals = Residuals::of(observations, |stamp| track.estimate(stamp + lag))?;
+    residuals.acceptable(observations.len()).then(|| (lag, residuals.time_sigma()))
 }
 
 fn hinge_of(x: &[f64; 3]) -> ServoLaw {
@@ -135,52 +134,92 @@ impl Case<'_> {
         track
     }
 
-    /// Mean squared residual in deviations, `widening` times the true ones, cut.
     fn cost(&self, law: ServoLaw, delay_s: f64, widening: f64) -> f64 {
         let track = self.track(law, delay_s);
-        let sum: f64 = self
-            .observations
-            .iter()
-            .map(|seen| {
-                let estimate = track.estimate(seen.stamp).map_or(f64::MAX, |e| e.angle_rad);
-                let sigma = widening * seen.sigma_rad.max(FLOOR_RAD);
-                let residual = (estimate - seen.angle_rad) / sigma;
-                // Beyond the cut the cost still grows a little, so that a search far off finds home.
-                let square = residual * residual;
-                if square > CUT * CUT { CUT * CUT + (square / (CUT * CUT)).ln() } else { square }
-            })
-            .sum();
-        sum / self.observations.len() as f64
+        mean_cost(self.observations, widening, |stamp| track.estimate(stamp))
     }
 
     fn report(&self, law: ServoLaw, delay_s: f64) -> Option<ServoFit> {
         let track = self.track(law, delay_s);
-        let (mut squares, mut explained) = (0.0, 0_usize);
-        let (mut moving_squares, mut rate_squares) = (0.0, 0.0);
-        for seen in self.observations {
-            let estimate = track.estimate(seen.stamp)?;
+        let residuals = Residuals::of(self.observations, |stamp| track.estimate(stamp))?;
+        residuals.acceptable(self.observations.len()).then(|| ServoFit {
+            law,
+            delay: Span::from_seconds(delay_s),
+            rms_rad: residuals.rms_rad(),
+            time_sigma: residuals.time_sigma(),
+            explained: (residuals.explained, self.observations.len()),
+        })
+    }
+}
+
+/// Mean squared residual in deviations, `widening` times the true ones, cut.
+fn mean_cost(
+    observations: &[Observation],
+    widening: f64,
+    estimate: impl Fn(Stamp) -> Option<AxisEstimate>,
+) -> f64 {
+    let sum: f64 = observations
+        .iter()
+        .map(|seen| {
+            let angle_rad = estimate(seen.stamp).map_or(f64::MAX, |e| e.angle_rad);
+            let sigma = widening * seen.sigma_rad.max(FLOOR_RAD);
+            let residual = (angle_rad - seen.angle_rad) / sigma;
+            // Beyond the cut the cost still grows a little, so that a search far off finds home.
+            let square = residual * residual;
+            if square > CUT * CUT { CUT * CUT + (square / (CUT * CUT)).ln() } else { square }
+        })
+        .sum();
+    sum / observations.len().max(1) as f64
+}
+
+/// What a model leaves of observations, outliers left out.
+#[derive(Clone, Copy, Debug, Default)]
+struct Residuals {
+    explained: usize,
+    squares: f64,
+    /// Squares of residuals, and of rates, of what was observed in motion.
+    moving_squares: f64,
+    rate_squares: f64,
+}
+
+impl Residuals {
+    /// `None` where the model says nothing about one of the observations.
+    fn of(
+        observations: &[Observation],
+        estimate: impl Fn(Stamp) -> Option<AxisEstimate>,
+    ) -> Option<Self> {
+        let mut sums = Self::default();
+        for seen in observations {
+            let estimate = estimate(seen.stamp)?;
             let residual = estimate.angle_rad - seen.angle_rad;
             // Outliers are told by the angle, not by the precision of the reading: a joint that
             // moves at 10°/s is a tenth of a degree off after a hundredth of a second.
             if residual.abs() > 3.0 * WORST_RMS_RAD {
                 continue;
             }
-            explained += 1;
-            squares += residual * residual;
+            sums.explained += 1;
+            sums.squares += residual * residual;
             const MOVING_RAD_S: f64 = 0.01;
             if estimate.rate_rad_s.abs() > MOVING_RAD_S {
-                moving_squares += residual * residual;
-                rate_squares += estimate.rate_rad_s * estimate.rate_rad_s;
+                sums.moving_squares += residual * residual;
+                sums.rate_squares += estimate.rate_rad_s * estimate.rate_rad_s;
             }
         }
-        let rms_rad = (squares / explained.max(1) as f64).sqrt();
-        let enough = explained as f64 >= EXPLAINED * self.observations.len() as f64;
-        if !enough || rms_rad > WORST_RMS_RAD || rate_squares == 0.0 {
-            return None;
-        }
-        let time_sigma = Span::from_seconds((moving_squares / rate_squares).sqrt().max(0.001));
-        let explained = (explained, self.observations.len());
-        Some(ServoFit { law, delay: Span::from_seconds(delay_s), rms_rad, time_sigma, explained })
+        Some(sums)
+    }
+
+    fn rms_rad(&self) -> f64 {
+        (self.squares / self.explained.max(1) as f64).sqrt()
+    }
+
+    fn time_sigma(&self) -> Span {
+        Span::from_seconds((self.moving_squares / self.rate_squares).sqrt().max(0.001))
+    }
+
+    /// Whether the model explains enough of `all` observations, well enough, some of them in motion.
+    fn acceptable(&self, all: usize) -> bool {
+        let enough = self.explained as f64 >= EXPLAINED * all as f64;
+        enough && self.rms_rad() <= WORST_RMS_RAD && self.rate_squares > 0.0
     }
 }
 
@@ -233,6 +272,7 @@ fn minimise(start: [f64; 3], cost: impl Fn(&[f64; 3]) -> f64) -> ([f64; 3], f64)
 
 #[cfg(test)]
 mod tests {
+    use super::super::track::AxisReading;
     use super::*;
     use proptest::prelude::*;
 
@@ -266,6 +306,22 @@ mod tests {
         (commands, observations)
     }
 
+    fn track(
+        fit: &ServoFit,
+        commands: &[(Stamp, Demand)],
+        readings: &[Observation],
+    ) -> AxisTrack {
+        let mut track = AxisTrack::new(Some(fit.law), None, 0.0);
+        for &(stamp, demand) in commands {
+            track.demand(stamp + fit.delay, demand);
+        }
+        for r in readings {
+            let (stamp, angle_rad) = (r.stamp, r.angle_rad);
+            track.read(AxisReading { stamp, angle_rad, half_width_rad: r.sigma_rad });
+        }
+        track
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(12))]
         #[test]
@@ -278,7 +334,8 @@ mod tests {
             prop_assert!((fit.delay.seconds() - delay).abs() < 0.008, "{fit:?} for {law:?}");
             prop_assert!(fit.rms_rad < 2e-4, "{fit:?}");
             let (_, lines) = observed(law, delay, lag);
-            let (found, _) = lag_of(&fit, 0.0, None, &commands, &lines).unwrap();
+            let (found, sigma) = lag_of(&track(&fit, &commands, &readings), &lines).unwrap();
+            prop_assert!(sigma < Span::from_millis(8), "{sigma:?}");
             prop_assert!((found.seconds() - lag).abs() < 0.008, "{} for {lag}", found.seconds());
         }
 

@@ -1,0 +1,1 @@
+//! What goes wrong with scans: each ends in a usable part of one, and a line that says so.
