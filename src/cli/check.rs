@@ -51,7 +51,7 @@ pub fn run(arguments: &CheckArguments) -> Result<ExitCode> {
             }
             Ok(bytes) => match check(path, &bytes) {
                 Verdict::Valid(kind) => {
-                    write_stdout(&format!("{}: valid {kind}\n", path.display()))?
+                    write_stdout(&format!("{}: valid {kind}\n", path.display()))?;
                 }
                 Verdict::Cut { loss } => {
                     cut = true;

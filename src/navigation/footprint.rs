@@ -1,10 +1,14 @@
 use super::Pose2;
 use crate::terrain::{CellClass, CellIndex, Grid, RobotShape};
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// Part of the grid's edge margin that the hull itself must keep: the rest is for tracking errors.
 const EDGE_SHARE: f64 = 0.7;
+
+/// Width about the hull that a standing robot is taken to have tried with its wheels, in metres.
+const UNDER_M: f64 = 0.06;
 
 /// The hull's rectangle, with what it keeps between itself and each kind of cell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -75,6 +79,17 @@ impl Footprint {
     /// The nearest cell that the hull at `pose` would stand on or strike and must not; `None` where
     /// the pose is safe.
     pub fn conflict(&self, grid: &Grid, pose: &Pose2) -> Option<Conflict> {
+        self.conflict_from(grid, pose, None)
+    }
+
+    /// The same for a robot that now stands at `standing`: what the map holds against the ground under
+    /// its hull is wrong or does no harm, and must not keep it from leaving. Edges always count.
+    pub fn conflict_from(
+        &self,
+        grid: &Grid,
+        pose: &Pose2,
+        standing: Option<&Pose2>,
+    ) -> Option<Conflict> {
         // The room already holds every margin: with the whole circle inside it nothing can touch.
         let roomy = grid.room_at(pose.x_m, pose.y_m) >= self.circumscribed_m;
         let reach_m = self.circumscribed_m + if roomy { 0.0 } else { self.edge_margin_m };
@@ -101,8 +116,14 @@ impl Footprint {
                 let (dx, dy) = (centre.x - pose.x_m, centre.y - pose.y_m);
                 let ahead_m = (cos * dx + sin * dy).abs();
                 let aside_m = (cos * dy - sin * dx).abs();
+                let underneath = !class.is_edge()
+                    && standing.is_some_and(|standing| {
+                        let spare_m = if class == CellClass::Occupied { 0.0 } else { UNDER_M };
+                        self.covers(standing, &centre, spare_m)
+                    });
                 if ahead_m <= self.half_length_m + margin_m
                     && aside_m <= self.half_width_m + margin_m
+                    && !underneath
                 {
                     let away_m = dx.hypot(dy);
                     if nearest.is_none_or(|(least_m, _)| away_m < least_m) {
@@ -114,12 +135,20 @@ impl Footprint {
         nearest.map(|(_, conflict)| conflict)
     }
 
+    /// Whether the hull at `pose`, `spare_m` wider on each side, covers a point.
+    fn covers(&self, pose: &Pose2, point: &Point2<f64>, spare_m: f64) -> bool {
+        let (sin, cos) = pose.yaw_rad.sin_cos();
+        let (dx, dy) = (point.x - pose.x_m, point.y - pose.y_m);
+        (cos * dx + sin * dy).abs() <= self.half_length_m + spare_m
+            && (cos * dy - sin * dx).abs() <= self.half_width_m + spare_m
+    }
+
     /// What stands in the way of turning in place by `turn_rad`, judged every few degrees.
     pub fn turn_conflict(&self, grid: &Grid, pose: &Pose2, turn_rad: f64) -> Option<Conflict> {
         let steps = (turn_rad.abs() / 0.07).ceil().max(1.0) as u32;
         (1..=steps).find_map(|step| {
             let turned = pose.driven(0.0, turn_rad * f64::from(step) / f64::from(steps));
-            self.conflict(grid, &turned)
+            self.conflict_from(grid, &turned, Some(pose))
         })
     }
 
@@ -160,6 +189,23 @@ mod tests {
             ..free
         });
         Grid::from_cells(0.05, CellIndex { x: -20, y: -20 }, 40, cells.collect())
+    }
+
+    #[test]
+    fn what_lies_under_the_hull_does_not_hold_it_but_an_edge_does() {
+        let shape = RobotShape { length_m: 0.5, width_m: 0.7, ..RobotShape::default() };
+        let footprint = Footprint::new(&shape, 0.1);
+        let here = Pose2::default();
+        let ahead = here.driven(0.05, 0.0);
+        // The row lies under the hull's left side, all along: only its part ahead is new.
+        let grid = beside(CellClass::TooSteep);
+        assert!(footprint.conflict(&grid, &here).is_some());
+        assert_eq!(footprint.conflict_from(&grid, &here, Some(&here)), None);
+        assert_eq!(footprint.conflict_from(&grid, &ahead, Some(&here)), None);
+        let farther = here.driven(0.2, 0.0);
+        assert!(footprint.conflict_from(&grid, &farther, Some(&here)).is_some());
+        let edge = beside(CellClass::Suspect);
+        assert!(footprint.conflict_from(&edge, &here, Some(&here)).is_some());
     }
 
     #[test]

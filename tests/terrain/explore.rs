@@ -5,6 +5,7 @@ use super::edges::draw;
 use super::world::{Laser, Solid, World, coarse_tilts};
 use rand_core::Rng;
 use rand_pcg::Pcg32;
+use std::f64::consts::{FRAC_PI_2, PI};
 
 fn room() -> World {
     World::default()
@@ -134,7 +135,7 @@ fn random_world(seed: u64) -> World {
 fn explore_random(seed: u64) -> (Robot, usize, f64) {
     let mut dice = Dice(Pcg32::new(seed, 78));
     let start = start_pose(1.3, dice.between(1.3, 7.7), dice.between(-3.0, 3.0));
-    let pans = if dice.chance(0.5) { vec![0.0] } else { vec![-1.57, 0.0, 1.57, 3.14] };
+    let pans = if dice.chance(0.5) { vec![0.0] } else { vec![-FRAC_PI_2, 0.0, FRAC_PI_2, PI] };
     let steepest = if dice.chance(0.5) { 29.75 } else { 55.0 };
     let laser = Laser::noisy(if dice.chance(0.5) { 0.0 } else { 0.01 }, seed);
     let mut robot =
