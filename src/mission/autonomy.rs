@@ -24,6 +24,9 @@ const WEDGED: u32 = 2;
 /// Rest after nothing could be planned, so that what moves may move on.
 const REST: Span = Span::from_millis(2_000);
 
+/// How long a place that the hull did not get past is avoided.
+const SHUNNED: Span = Span::from_millis(120_000);
+
 /// Lines of a fixed laser before the first choice.
 const PLANAR_LINES: usize = 5;
 
@@ -129,10 +132,20 @@ impl Running {
         }
     }
 
+    /// What driving costs where, places that the hull did not get past lately made dear.
+    fn costs(&mut self, desk: &Desk<'_>) -> CostMap {
+        let mut costs = CostMap::new(&self.grid, &self.shape, &desk.config.plan);
+        self.shunned.retain(|(_, until)| *until > desk.now);
+        for (cell, _) in &self.shunned {
+            costs.shun(*cell, self.shape.circumscribed_radius_m() + 0.1);
+        }
+        costs
+    }
+
     /// Chooses where to look next and sets out, or says that nothing is left.
     fn choose(&mut self, desk: &mut Desk<'_>) -> Verdict {
         self.refresh_grid(desk.now);
-        let costs = CostMap::new(&self.grid, &self.shape, &desk.config.plan);
+        let costs = self.costs(desk);
         let pose = self.pose2();
         for _ in 0..TRIES {
             let decision = self.explorer.choose(
@@ -212,7 +225,7 @@ impl Running {
                 self.look_here(desk);
             }
             1 | 2 => {
-                let costs = CostMap::new(&self.grid, &self.shape, &desk.config.plan);
+                let costs = self.costs(desk);
                 let cell = self.grid.cell_of(pose.x_m, pose.y_m);
                 let Ok(path) = self.planner.plan(&self.grid, &costs, &pose, cell) else {
                     return self.last_resort(desk);
@@ -345,6 +358,9 @@ impl Running {
             }
             Progress::Blocked(reason) => {
                 self.stop(desk);
+                if let Some(conflict) = reason.conflict() {
+                    self.shunned.push((conflict.cell, desk.now + SHUNNED));
+                }
                 self.replan(drive, &reason.to_string(), desk);
             }
         }
@@ -368,7 +384,7 @@ impl Running {
     /// The path is blocked: another to the same goal, or another goal.
     fn replan(&mut self, drive: Drive, reason: &str, desk: &mut Desk<'_>) {
         self.refresh_grid(desk.now);
-        let costs = CostMap::new(&self.grid, &self.shape, &desk.config.plan);
+        let costs = self.costs(desk);
         let goal = self.explorer.current().map(|choice| (choice.goal, choice.cell));
         let path = goal.filter(|_| drive.replans < REPLANS).and_then(|(goal, cell)| {
             let path = self.planner.plan(&self.grid, &costs, &self.pose2(), cell).ok()?;

@@ -16,7 +16,7 @@ use crate::robot::{
     BodySpeed, HeadPose, HeadReading, InsReading, OdometryReading, Rig, WheelCount,
 };
 use crate::scan::LaserLine;
-use crate::terrain::{Grid, RobotShape};
+use crate::terrain::{CellIndex, Grid, RobotShape};
 use crate::time::{Arrival, Span, Stamp};
 use crate::victims::{Candidate, Candidates, VictimConfig};
 use nalgebra::Isometry3;
@@ -111,6 +111,8 @@ pub struct Running {
     pub(super) candidates: Candidates,
     victim_config: VictimConfig,
     pub(super) frontiers_left: Vec<FrontierLeft>,
+    /// Cells that the hull did not get past, and until when they are avoided.
+    pub(super) shunned: Vec<(CellIndex, Arrival)>,
     /// Where a gap that could not be seen was assumed.
     pub(super) bridged: Vec<Pose2>,
     /// Last resorts tried since the robot last had somewhere to go.
@@ -169,6 +171,7 @@ impl Running {
             candidates: Candidates::default(),
             victim_config: config.victims,
             frontiers_left: Vec::new(),
+            shunned: Vec::new(),
             bridged: Vec::new(),
             resorts: 0,
             give_ups: 0,

@@ -102,6 +102,25 @@ impl CostMap {
         }
     }
 
+    /// Makes open cells within `radius_m` of a cell as dear as cells get: the robot's rectangle did not
+    /// get past there though its inscribed circle fits.
+    pub fn shun(&mut self, centre: CellIndex, radius_m: f64) {
+        let reach = (radius_m / self.cell_m.max(0.01)).ceil() as i32;
+        for dy in -reach..=reach {
+            for dx in -reach..=reach {
+                if f64::from(dx).hypot(f64::from(dy)) * self.cell_m > radius_m {
+                    continue;
+                }
+                let cell = CellIndex { x: centre.x + dx, y: centre.y + dy };
+                if let Some(index) = self.index(cell)
+                    && self.weights[index] > 0
+                {
+                    self.weights[index] = DEAREST as u8;
+                }
+            }
+        }
+    }
+
     /// Whether the robot's centre may be in a cell.
     pub fn is_open(&self, cell: CellIndex) -> bool {
         self.index(cell).is_some_and(|index| self.weights[index] > 0)
@@ -158,5 +177,24 @@ impl CostMap {
         if north > 0 && east > 0 {
             diagonal(true, at + self.width + 1);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shunned_cells_become_dear_and_closed_ones_stay_closed() {
+        let low = CellIndex { x: -2, y: -2 };
+        let mut weights = vec![BEST as u8; 25];
+        weights[13] = 0;
+        let mut costs = CostMap::from_weights(0.1, low, 5, weights);
+        costs.shun(CellIndex { x: 0, y: 0 }, 0.1);
+        assert_eq!(costs.weight(CellIndex { x: 0, y: 0 }), DEAREST);
+        assert_eq!(costs.weight(CellIndex { x: -1, y: 0 }), DEAREST);
+        assert_eq!(costs.weight(CellIndex { x: 1, y: 0 }), 0);
+        assert_eq!(costs.weight(CellIndex { x: 1, y: 1 }), BEST);
+        costs.shun(CellIndex { x: 50, y: 50 }, 0.3);
     }
 }

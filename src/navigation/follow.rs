@@ -81,6 +81,16 @@ pub enum Blocked {
     NoPath,
 }
 
+impl Blocked {
+    /// What the hull would have met.
+    pub fn conflict(&self) -> Option<Conflict> {
+        match self {
+            Self::Ahead(conflict) | Self::Turning(conflict) => Some(*conflict),
+            Self::OffPath(_) | Self::NoPath => None,
+        }
+    }
+}
+
 impl std::fmt::Display for Blocked {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
