@@ -7,6 +7,7 @@ use crate::sim::Session;
 use crate::sim::server::{ImageType, Server, ServerError, listen};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
+use std::io::IsTerminal as _;
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -18,7 +19,7 @@ use tokio::net::TcpListener;
                         usar sim scenarios/yellow.toml --port 0 --dialect udk\n\n\
                         Prints `listening on ADDR:PORT` first. Ctrl-C ends it.")]
 pub struct SimArguments {
-    /// Scenario file, or the name of one in the program: box, planes, station, yellow
+    /// Scenario file, or the name of one in the program: box, planes, station, station_udk, yellow
     scenario: PathBuf,
     /// Port of the robots' connections; 0 picks a free one
     #[arg(long, value_name = "PORT", default_value_t = 3000)]
@@ -108,6 +109,7 @@ fn log_to_stderr() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let log = log.with_ansi(std::io::stderr().is_terminal());
     // Where a log is set up already, that one serves.
     let _ = log.without_time().with_target(false).try_init();
 }

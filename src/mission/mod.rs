@@ -16,6 +16,7 @@ mod opening;
 mod operator;
 mod pilot;
 mod running;
+mod sign_test;
 mod teleop;
 
 pub use agent::{Agent, Tally};

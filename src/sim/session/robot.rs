@@ -394,10 +394,7 @@ impl Robot {
     }
 
     fn angles(&self) -> [f64; 2] {
-        self.units.first().map_or([0.0; 2], |unit| {
-            // The wire's tilt is positive up, the core's pitch positive down.
-            [unit.joints[0].angle_rad, -unit.joints[1].angle_rad]
-        })
+        self.units.first().map_or([0.0; 2], PanTilt::true_angles_rad)
     }
 
     /// Notes where the scanners stood when they cast.
