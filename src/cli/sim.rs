@@ -28,6 +28,10 @@ pub struct SimArguments {
     /// taken]
     #[arg(long, value_name = "PORT")]
     image_port: Option<u16>,
+    /// Port of the monitor interface for a wireless simulation; 0 picks a free one [default: 7435, or
+    /// none if that is taken]
+    #[arg(long, value_name = "PORT")]
+    monitor_port: Option<u16>,
     /// How pictures are sent [default: good for ut2004, raw for udk]
     #[arg(long, value_enum)]
     image_type: Option<ImageTypeArgument>,
@@ -96,6 +100,19 @@ async fn listen_for_viewers(arguments: &SimArguments) -> Result<TcpListener, Ser
     }
 }
 
+/// The socket of the monitor interface, likewise; without its usual port there is none.
+async fn listen_for_monitors(arguments: &SimArguments) -> Result<Option<TcpListener>, ServerError> {
+    const USUAL: u16 = 7435;
+    let port = arguments.monitor_port.unwrap_or(USUAL);
+    match (arguments.monitor_port, listen(SocketAddr::new(arguments.bind, port)).await) {
+        (None, Err(error)) => {
+            tracing::warn!("{error}; no monitor interface");
+            Ok(None)
+        }
+        (_, listener) => listener.map(Some),
+    }
+}
+
 /// A speed of level time.
 fn factor(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -141,12 +158,21 @@ pub fn run(arguments: &SimArguments) -> Result<ExitCode> {
     runtime.block_on(async {
         let listener = listen(SocketAddr::new(arguments.bind, arguments.port)).await?;
         let viewers = listen_for_viewers(arguments).await?;
+        let monitors = listen_for_monitors(arguments).await?;
         let (address, image_address) = (listener.local_addr()?, viewers.local_addr()?);
-        write_stdout(&format!("listening on {address}\nimages on {image_address}\n"))?;
+        let mut text = format!("listening on {address}\nimages on {image_address}\n");
+        if let Some(monitors) = &monitors {
+            text.push_str(&format!("monitor on {}\n", monitors.local_addr()?));
+        }
+        write_stdout(&text)?;
         let usual = ImageType::usual(session.dialect());
         let image_type = arguments.image_type.map_or(usual, ImageType::from);
-        let server = Server::new(session, listener, arguments.speed);
-        server.with_images(viewers, image_type).run(super::interrupt::asked_to_stop()).await;
+        let mut server =
+            Server::new(session, listener, arguments.speed).with_images(viewers, image_type);
+        if let Some(monitors) = monitors {
+            server = server.with_monitor(monitors);
+        }
+        server.run(super::interrupt::asked_to_stop()).await;
         Ok(ExitCode::SUCCESS)
     })
 }

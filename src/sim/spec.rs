@@ -160,6 +160,8 @@ pub enum SensorKind {
     Gps,
     /// Wheel speeds (UDK).
     Tachometer,
+    /// Depth camera: an image in strips when told to (UDK's KinectDepth).
+    RangeImager,
     /// A camera; its pictures come from the image server.
     Camera,
 }
@@ -180,6 +182,7 @@ impl SensorKind {
             Self::GroundTruth => "GroundTruth",
             Self::Gps => "GPS",
             Self::Tachometer => "Tachometer",
+            Self::RangeImager => "RangeImager",
             Self::Camera => "Camera",
         }
     }
@@ -198,6 +201,7 @@ impl SensorKind {
             Self::RfidReleaser => &["tags"],
             Self::Touch => &["diameter_m", "interval_s"],
             Self::Gps => &["satellites", "interval_s"],
+            Self::RangeImager => &["max_range_m", "width", "height", "fov_deg", "interval_s"],
             Self::Camera => &["fov_deg", "min_fov_deg", "max_fov_deg", "width", "height"],
             Self::Ins | Self::GroundTruth | Self::Tachometer => &["interval_s"],
         }
