@@ -63,9 +63,8 @@ fn udk_waits_to_be_asked_and_cuts_parts() {
     assert_eq!((kind, &whole[..4]), (0, &[2, 128, 1, 224][..]), "640 × 480 raw");
     assert_eq!(whole.len(), 4 + 640 * 480 * 3);
     let part = |x: u32, y: u32, width: u32, height: u32| {
-        let mut request = vec![b'U'];
-        [x, y, width, height].map(|number| request.extend(number.to_be_bytes()));
-        request
+        let numbers = [x, y, width, height].into_iter().flat_map(u32::to_be_bytes);
+        std::iter::once(b'U').chain(numbers).collect::<Vec<u8>>()
     };
     // The only camera's tile, as CONF tells it; then one that no camera fills.
     viewer.write_all(&part(0, 0, 320, 240)).unwrap();
