@@ -247,7 +247,7 @@ impl Session {
     }
 
     /// Takes the truth of the scanner lines cast since the last call: for scoring only. At most the
-    /// latest 4096 are kept.
+    /// latest 256 are kept.
     pub fn take_casts(&mut self, id: ConnectionId) -> Vec<CastTruth> {
         let key = self.connections.get(&id).and_then(|connection| connection.robot);
         let robot = key.and_then(|key| self.robots.iter_mut().find(|robot| robot.key == key));

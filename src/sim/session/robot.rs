@@ -29,7 +29,7 @@ const UDK_STATUS_S: f64 = 0.1;
 const SCAN_LAG: Span = Span::from_millis(100);
 
 /// Casts whose truth is kept for whoever scores.
-const MOST_CASTS: usize = 4096;
+const MOST_CASTS: usize = 256;
 
 /// What a battery reports that lasts for ever.
 const ENDLESS_BATTERY_S: i64 = 99_999;
