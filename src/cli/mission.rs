@@ -19,7 +19,7 @@ use std::time::Instant;
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  usar mission scenarios/station.toml --seed 7 --out run/")]
 pub struct MissionArguments {
-    /// Scenario file, or the name of one in the program: box, planes, station, yellow
+    /// Scenario file, or the name of one in the program: box, planes, station, station_udk, yellow
     scenario: PathBuf,
     #[command(flatten)]
     common: CommonArguments,

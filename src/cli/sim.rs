@@ -7,6 +7,7 @@ use crate::sim::Session;
 use crate::sim::server::{ImageType, Server, ServerError, listen};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
+use std::io::IsTerminal as _;
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -18,7 +19,7 @@ use tokio::net::TcpListener;
                         usar sim scenarios/yellow.toml --port 0 --dialect udk\n\n\
                         Prints `listening on ADDR:PORT` first. Ctrl-C ends it.")]
 pub struct SimArguments {
-    /// Scenario file, or the name of one in the program: box, planes, station, yellow
+    /// Scenario file, or the name of one in the program: box, planes, station, station_udk, yellow
     scenario: PathBuf,
     /// Port of the robots' connections; 0 picks a free one
     #[arg(long, value_name = "PORT", default_value_t = 3000)]
@@ -27,6 +28,10 @@ pub struct SimArguments {
     /// taken]
     #[arg(long, value_name = "PORT")]
     image_port: Option<u16>,
+    /// Port of the monitor interface for a wireless simulation; 0 picks a free one [default: 7435, or
+    /// none if that is taken]
+    #[arg(long, value_name = "PORT")]
+    monitor_port: Option<u16>,
     /// How pictures are sent [default: good for ut2004, raw for udk]
     #[arg(long, value_enum)]
     image_type: Option<ImageTypeArgument>,
@@ -95,6 +100,19 @@ async fn listen_for_viewers(arguments: &SimArguments) -> Result<TcpListener, Ser
     }
 }
 
+/// The socket of the monitor interface, likewise; without its usual port there is none.
+async fn listen_for_monitors(arguments: &SimArguments) -> Result<Option<TcpListener>, ServerError> {
+    const USUAL: u16 = 7435;
+    let port = arguments.monitor_port.unwrap_or(USUAL);
+    match (arguments.monitor_port, listen(SocketAddr::new(arguments.bind, port)).await) {
+        (None, Err(error)) => {
+            tracing::warn!("{error}; no monitor interface");
+            Ok(None)
+        }
+        (_, listener) => listener.map(Some),
+    }
+}
+
 /// A speed of level time.
 fn factor(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
@@ -108,6 +126,7 @@ fn log_to_stderr() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let log = log.with_ansi(std::io::stderr().is_terminal());
     // Where a log is set up already, that one serves.
     let _ = log.without_time().with_target(false).try_init();
 }
@@ -139,12 +158,21 @@ pub fn run(arguments: &SimArguments) -> Result<ExitCode> {
     runtime.block_on(async {
         let listener = listen(SocketAddr::new(arguments.bind, arguments.port)).await?;
         let viewers = listen_for_viewers(arguments).await?;
+        let monitors = listen_for_monitors(arguments).await?;
         let (address, image_address) = (listener.local_addr()?, viewers.local_addr()?);
-        write_stdout(&format!("listening on {address}\nimages on {image_address}\n"))?;
+        let mut text = format!("listening on {address}\nimages on {image_address}\n");
+        if let Some(monitors) = &monitors {
+            text.push_str(&format!("monitor on {}\n", monitors.local_addr()?));
+        }
+        write_stdout(&text)?;
         let usual = ImageType::usual(session.dialect());
         let image_type = arguments.image_type.map_or(usual, ImageType::from);
-        let server = Server::new(session, listener, arguments.speed);
-        server.with_images(viewers, image_type).run(super::interrupt::asked_to_stop()).await;
+        let mut server =
+            Server::new(session, listener, arguments.speed).with_images(viewers, image_type);
+        if let Some(monitors) = monitors {
+            server = server.with_monitor(monitors);
+        }
+        server.run(super::interrupt::asked_to_stop()).await;
         Ok(ExitCode::SUCCESS)
     })
 }

@@ -61,16 +61,24 @@ struct BuiltIn {
 
 macro_rules! built_in {
     ($name:literal) => {
+        built_in!($name, $name)
+    };
+    ($name:literal, $map:literal) => {
         BuiltIn {
             name: $name,
             scenario: include_str!(concat!("../../scenarios/", $name, ".toml")),
-            map: include_str!(concat!("../../maps/", $name, ".toml")),
+            map: include_str!(concat!("../../maps/", $map, ".toml")),
         }
     };
 }
 
-const BUILT_IN: [BuiltIn; 4] =
-    [built_in!("box"), built_in!("planes"), built_in!("station"), built_in!("yellow")];
+const BUILT_IN: [BuiltIn; 5] = [
+    built_in!("box"),
+    built_in!("planes"),
+    built_in!("station"),
+    built_in!("station_udk", "station"),
+    built_in!("yellow"),
+];
 
 const ROBOTS: &str = include_str!("../../maps/robots.toml");
 

@@ -65,6 +65,7 @@ impl Running {
                 }
             }
             Activity::Sweep => self.stop(desk),
+            Activity::SignTest(_) => self.sign_test_cycle(desk),
             Activity::Drive(drive) => {
                 let drive = *drive;
                 self.drive_cycle(drive, desk);
@@ -101,12 +102,16 @@ impl Running {
     }
 
     fn begin_look(&mut self, look: Look, desk: &mut Desk<'_>) {
+        if look == Look::SignTest {
+            return self.begin_sign_test(desk);
+        }
         let Some(acquisition) = &mut self.acquisition else {
             self.activity = Activity::Stand;
             return;
         };
         self.activity = Activity::Sweep;
         let actions = match look {
+            Look::SignTest => return,
             Look::Calibrate => acquisition.calibrate(desk.now),
             Look::Sweep(request) => acquisition.start(request, desk.now),
         };

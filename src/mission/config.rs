@@ -49,6 +49,8 @@ pub struct MissionConfig {
     pub observe: bool,
     /// Session time after which the mission ends, in seconds; 0 for none.
     pub time_limit_s: f64,
+    /// Whether a small motion at the start shows which way pan and tilt turn.
+    pub verify_signs: bool,
     /// Whether the paper's full sweep of 220 rows is taken at the start.
     pub fine_sweep_at_start: bool,
     /// Whether the tilt's motion is identified at the start, and exploration sweeps are then taken
@@ -81,6 +83,7 @@ impl Default for MissionConfig {
             mode: Mode::Auto,
             observe: false,
             time_limit_s: 1200.0,
+            verify_signs: true,
             fine_sweep_at_start: true,
             flowing_sweeps: true,
             settle_s: 0.6,

@@ -18,6 +18,7 @@ mod operator;
 mod pilot;
 mod resume;
 mod running;
+mod sign_test;
 mod teleop;
 
 pub use agent::{Agent, Tally};

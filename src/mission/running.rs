@@ -7,6 +7,7 @@ use super::ledger::{Ledger, Pastime};
 use super::motion::{BodyAttitude, PlanarPose};
 use super::operator::{DriveLease, Mode};
 use super::pilot::Pilot;
+use super::sign_test::SignTest;
 use crate::acquisition::{Acquisition, HeadAction, HeadEvent, ParkState, Scan, SweepRequest};
 use crate::exploration::{ExploreConfig, Explorer, FrontierLeft};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
@@ -60,6 +61,8 @@ pub(super) enum Activity {
     Settle { until: Arrival, look: Look },
     /// Sweeping.
     Sweep,
+    /// Finding out which way the head's joints turn.
+    SignTest(Box<SignTest>),
     /// Driving to the explorer's goal.
     Drive(Drive),
     /// Getting out of trouble.
@@ -73,6 +76,8 @@ pub(super) enum Activity {
 /// What is done with the head while the robot stands.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Look {
+    /// Finding out which way pan and tilt turn.
+    SignTest,
     /// Finding out how the tilt moves, so that later sweeps need not wait for it.
     Calibrate,
     /// A sweep.
@@ -209,6 +214,9 @@ impl Running {
         };
         if self.mode == Mode::Teleop {
             return;
+        }
+        if desk.config.mission.verify_signs {
+            self.queue.push_back(Look::SignTest);
         }
         if desk.config.mission.flowing_sweeps {
             self.queue.push_back(Look::Calibrate);
@@ -370,6 +378,10 @@ impl Running {
             return self.planar_line(line);
         };
         let parked = acquisition.parked(desk.now);
+        if matches!(self.activity, Activity::SignTest(_)) {
+            self.head_event(&HeadEvent::Line(line), desk);
+            return self.sign_test_line(line, parked, desk);
+        }
         let head = match parked {
             ParkState::Computed { pose, .. } | ParkState::Verified { pose, .. } => Some(pose),
             _ => None,
@@ -582,7 +594,7 @@ impl Running {
     /// What the time is being spent on.
     pub(super) fn pastime(&self) -> Pastime {
         match &self.activity {
-            Activity::Settle { .. } | Activity::Sweep => Pastime::Scan,
+            Activity::Settle { .. } | Activity::Sweep | Activity::SignTest(_) => Pastime::Scan,
             Activity::Recover { .. } => Pastime::Recover,
             Activity::Drive(_) | Activity::Rest { .. } | Activity::Stand => {
                 if self.command.linear_mps != 0.0 {

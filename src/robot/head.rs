@@ -153,6 +153,13 @@ impl ScanHead {
         self.with_inverted(joint)
     }
 
+    /// Lets a link of a package turn the other way round, if it is one of this head's joints.
+    pub fn invert(&mut self, package: &str, link: u32) {
+        let joints = &self.mount.joints;
+        let joint = joints.iter().position(|j| j.package == package && j.link == link);
+        *self = self.clone().with_inverted(joint);
+    }
+
     fn with_inverted(self, joint: Option<usize>) -> Self {
         let mut mount = self.mount;
         if let Some(joint) = joint {

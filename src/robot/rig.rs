@@ -112,6 +112,19 @@ impl Rig {
         }
     }
 
+    /// Lets the joints that pan or tilt the laser turn the other way round, for everything that they
+    /// carry.
+    pub fn invert_head(&mut self, pan: bool, tilt: bool) {
+        let Some(laser) = &mut self.laser else { return };
+        let axes = [laser.head.pan().filter(|_| pan), laser.head.tilt().filter(|_| tilt)];
+        let links: Vec<(String, u32)> =
+            axes.into_iter().flatten().map(|axis| (axis.package.clone(), axis.link)).collect();
+        let devices = self.devices.iter_mut().map(|device| &mut device.head);
+        for head in std::iter::once(&mut laser.head).chain(devices) {
+            links.iter().for_each(|(package, link)| head.invert(package, *link));
+        }
+    }
+
     /// The laser above level ground.
     pub fn ground_view(&self) -> Option<GroundView<'_>> {
         let laser = self.laser.as_ref()?;

@@ -3,6 +3,7 @@
 use super::head::HeadPose;
 use super::visibility::GroundView;
 use crate::scan::{LaserLine, Return};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 /// What lines taken at two angles say about the sign of a joint.
@@ -16,42 +17,64 @@ pub enum SignVerdict {
     Undecided,
 }
 
-/// Share of a line's beams that must agree with the ground before it counts as looking down.
-const GROUND_SHARE: f64 = 0.1;
-/// Relative agreement of a range with the level ground's: noise, a slight slope, a height supposed.
-const GROUND_FIT: f64 = 0.06;
+/// Beams farther off the head's x axis than this are left out: the tilt hardly moves them.
+const WIDEST_BEARING_RAD: f64 = 1.05;
+/// The quantile that stands for how far below or above the laser a line reaches.
+const REACH_QUANTILE: f64 = 0.75;
+/// How much farther the line that looks up must reach than the one that looks down.
+const TIMES_FARTHER: f64 = 1.5;
+/// A line that was believed to look down must reach this many times below the supposed ground before
+/// it is taken for one that looks up.
+const BELOW_GROUND: f64 = 1.4;
+/// Fewer beams than this tell nothing.
+const FEWEST_BEAMS: usize = 20;
 
 /// Judges the tilt by two lines: one taken at `down_rad > 0`, believed to look down, and one at
 /// `up_rad < 0`, believed to look up.
 ///
-/// Whichever of them really looks down sees level ground at the ranges that its tilt and the laser's
-/// height give; the other does not, unless the room is as low as the laser is high.
+/// Nothing is seen below the ground: whichever line looks down reaches no deeper than the laser is
+/// high, the other as high as the room is or for ever. The height itself need not be known well, as it
+/// is not before the first scan. Between near walls both lines end at the walls, and nothing is decided.
 pub fn tilt_sign(
     view: &GroundView<'_>,
     (down_rad, down): (f64, &LaserLine),
     (up_rad, up): (f64, &LaserLine),
 ) -> SignVerdict {
-    let believed = ground_share(view, down_rad, down);
-    let inverted = ground_share(view, -up_rad, up);
-    let clear = |yes: f64, no: f64| yes >= GROUND_SHARE && no < 0.4 * yes;
-    if clear(believed, inverted) {
+    let (Some(depth), Some(height)) = (reach_m(view, down_rad, down), reach_m(view, up_rad, up))
+    else {
+        return SignVerdict::Undecided;
+    };
+    if height > TIMES_FARTHER * depth {
         SignVerdict::AsBelieved
-    } else if clear(inverted, believed) {
+    } else if depth > TIMES_FARTHER * height && depth > BELOW_GROUND * view.laser_height_m() {
         SignVerdict::Inverted
     } else {
         SignVerdict::Undecided
     }
 }
 
-/// Share of the beams whose ranges are those of level ground under `tilt_rad`.
-fn ground_share(view: &GroundView<'_>, tilt_rad: f64, line: &LaserLine) -> f64 {
-    let pose = HeadPose::tilted(tilt_rad);
-    let fits = (0..line.len()).filter(|&beam| {
-        let Return::Hit(range) = line.classify(beam) else { return false };
-        view.ground_range_m(pose, line.bearing_rad(beam))
-            .is_some_and(|ground| (range / ground - 1.0).abs() < GROUND_FIT)
-    });
-    fits.count() as f64 / line.len().max(1) as f64
+/// How far off the laser's level a line under `tilt_rad` reaches, in metres: a high quantile, beams
+/// without a return counted at the greatest range.
+fn reach_m(view: &GroundView<'_>, tilt_rad: f64, line: &LaserLine) -> Option<f64> {
+    let robot_from_device = view.head.robot_from_device(HeadPose::tilted(tilt_rad));
+    let mut reaches: Vec<f64> = (0..line.len())
+        .filter(|&beam| line.bearing_rad(beam).abs() <= WIDEST_BEARING_RAD)
+        .filter_map(|beam| {
+            let range_m = match line.classify(beam) {
+                Return::Hit(range) => range,
+                Return::Nothing => line.max_range_m,
+                Return::Missing => return None,
+            };
+            let (sin, cos) = line.bearing_rad(beam).sin_cos();
+            let direction = robot_from_device.rotation * Vector3::new(cos, sin, 0.0);
+            Some(range_m * direction.z.abs())
+        })
+        .collect();
+    if reaches.len() < FEWEST_BEAMS {
+        return None;
+    }
+    reaches.sort_by(f64::total_cmp);
+    Some(reaches[(reaches.len() as f64 * REACH_QUANTILE) as usize])
 }
 
 /// Judges the pan by lines taken at two pan angles, which must differ by less than the field of view.
@@ -85,7 +108,6 @@ pub fn pan_sign(
 /// Median relative difference between `second` and `first` read `shift_rad` further to the left;
 /// `None` if too few beams can be compared.
 fn shifted_difference(first: &LaserLine, second: &LaserLine, shift_rad: f64) -> Option<f64> {
-    const FEWEST_BEAMS: usize = 20;
     let mut differences: Vec<f64> = (0..second.len())
         .filter_map(|beam| {
             let bearing = second.bearing_rad(beam) + shift_rad;
@@ -177,6 +199,28 @@ mod tests {
         let head = head();
         let view = GroundView { head: &head, origin_height_m: 0.15, half_fov_rad: FRAC_PI_2 };
         let at = |tilt| line(HeadPose::tilted(tilt), [0.9, 0.7, 0.7, 0.9], 2.5);
+        let (down, up) = (at(0.2), at(-0.2));
+        assert_eq!(tilt_sign(&view, (0.2, &down), (-0.2, &up)), SignVerdict::Undecided);
+    }
+
+    #[test]
+    fn the_height_of_the_laser_need_not_be_known_well() {
+        let head = head();
+        for origin_height_m in [0.05, 0.15, 0.4] {
+            let view = GroundView { head: &head, origin_height_m, half_fov_rad: FRAC_PI_2 };
+            let at = |tilt| line(HeadPose::tilted(tilt), ROOM, 100.0);
+            let (down, up) = (at(0.2), at(-0.2));
+            assert_eq!(tilt_sign(&view, (0.2, &down), (-0.2, &up)), SignVerdict::AsBelieved);
+            assert_eq!(tilt_sign(&view, (0.2, &up), (-0.2, &down)), SignVerdict::Inverted);
+        }
+    }
+
+    #[test]
+    fn a_low_ceiling_inverts_nothing() {
+        let head = head();
+        let view = GroundView { head: &head, origin_height_m: 0.15, half_fov_rad: FRAC_PI_2 };
+        // Under a table: the board 0.25 m above the laser, the ground 0.55 m below it.
+        let at = |tilt| line(HeadPose::tilted(tilt), ROOM, 0.65);
         let (down, up) = (at(0.2), at(-0.2));
         assert_eq!(tilt_sign(&view, (0.2, &down), (-0.2, &up)), SignVerdict::Undecided);
     }

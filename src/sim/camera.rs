@@ -47,8 +47,11 @@ impl Picture {
     /// Lays `other` over this picture with its upper left corner at column `x` and row `y`; what
     /// lies outside is cut off.
     pub fn lay(&mut self, other: &Self, x: u32, y: u32) {
+        let columns = other.width.min(self.width.saturating_sub(x)) as usize;
+        if columns == 0 {
+            return;
+        }
         for row in 0..other.height.min(self.height.saturating_sub(y)) {
-            let columns = other.width.min(self.width.saturating_sub(x)) as usize;
             let from = row as usize * other.width as usize * 3;
             let to = ((y + row) as usize * self.width as usize + x as usize) * 3;
             self.rgb[to..to + 3 * columns].copy_from_slice(&other.rgb[from..from + 3 * columns]);
@@ -59,8 +62,11 @@ impl Picture {
     /// has none.
     pub fn cut(&self, x: u32, y: u32, width: u32, height: u32) -> Self {
         let mut part = Self::black(width, height);
+        let columns = width.min(self.width.saturating_sub(x)) as usize;
+        if columns == 0 {
+            return part;
+        }
         for row in 0..height.min(self.height.saturating_sub(y)) {
-            let columns = width.min(self.width.saturating_sub(x)) as usize;
             let from = ((y + row) as usize * self.width as usize + x as usize) * 3;
             let to = row as usize * width as usize * 3;
             part.rgb[to..to + 3 * columns].copy_from_slice(&self.rgb[from..from + 3 * columns]);
@@ -240,5 +246,7 @@ mod tests {
         assert_eq!(screen.cut(6, 4, 2, 2), Picture { width: 2, height: 2, rgb: vec![255; 12] });
         let part = screen.cut(7, 5, 4, 4);
         assert_eq!(part.rgb.iter().filter(|octet| **octet == 255).count(), 3);
+        assert_eq!(screen.cut(u32::MAX, u32::MAX, 2, 2), Picture::black(2, 2));
+        screen.lay(&white, u32::MAX, 0);
     }
 }

@@ -175,6 +175,8 @@ pub(crate) struct PanTilt {
     pub(crate) name: String,
     pub(crate) position: Vector3<f64>,
     pub(crate) tilt_offset: Vector3<f64>,
+    /// 1, or -1 for a joint that turns against the wire's sign: pan, then tilt.
+    senses: [f64; 2],
     /// Pan, then tilt.
     pub(crate) joints: [Joint; 2],
     pub(crate) torque: f64,
@@ -188,6 +190,8 @@ impl PanTilt {
             name: spec.name.clone(),
             position: spec.position.unwrap_or([0.0, 0.0, 0.2]).into(),
             tilt_offset: spec.tilt_offset.unwrap_or([0.0, 0.0, 0.06]).into(),
+            senses: [spec.pan_inverted, spec.tilt_inverted]
+                .map(|inverted| if inverted == Some(true) { -1.0 } else { 1.0 }),
             joints: [spec.pan_limits_rad, spec.tilt_limits_rad]
                 .map(|range| Joint::new(range.unwrap_or(FREE), spec, dialect)),
             torque: spec.torque.unwrap_or(20.0),
@@ -201,15 +205,21 @@ impl PanTilt {
         }
     }
 
+    /// True angles in the core's sense: pan positive left, tilt positive down.
+    pub(crate) fn true_angles_rad(&self) -> [f64; 2] {
+        let [pan, tilt] = [0, 1].map(|joint| self.senses[joint] * self.joints[joint].angle_rad);
+        [pan, -tilt]
+    }
+
     /// The frame of link 0 (pan) or 1 (tilt), parallel to the body at zero angles.
     pub(crate) fn robot_from_link(&self, link: usize) -> Isometry3<f64> {
-        let pan = UnitQuaternion::from_euler_angles(0.0, 0.0, self.joints[0].angle_rad);
+        let [pan_rad, tilt_rad] = self.true_angles_rad();
+        let pan = UnitQuaternion::from_euler_angles(0.0, 0.0, pan_rad);
         let robot_from_pan = Isometry3::from_parts(Translation3::from(self.position), pan);
         if link == 0 {
             return robot_from_pan;
         }
-        // A core pitch lowers the nose, the wire's tilt raises it.
-        let tilt = UnitQuaternion::from_euler_angles(0.0, -self.joints[1].angle_rad, 0.0);
+        let tilt = UnitQuaternion::from_euler_angles(0.0, tilt_rad, 0.0);
         robot_from_pan * Isometry3::from_parts(Translation3::from(self.tilt_offset), tilt)
     }
 
@@ -308,6 +318,20 @@ mod tests {
         unit.joints[0].angle_rad = 0.3;
         assert!((unit.robot_from_link(1) * ahead).y > 0.2);
         assert!((unit.robot_from_link(0) * ahead).y > 0.29);
+    }
+
+    #[test]
+    fn an_inverted_joint_tells_what_it_is_told_and_turns_the_other_way() {
+        let spec = PanTiltSpec {
+            name: "P".to_owned(),
+            tilt_inverted: Some(true),
+            ..PanTiltSpec::default()
+        };
+        let mut unit = PanTilt::new(&spec, Dialect::Ut2004);
+        unit.joints[1].order(Order::Angle, 0.3, 20.0);
+        after(&mut unit.joints[1], 5.0);
+        assert!((unit.reported_rad()[1] - 0.3).abs() < 1e-3);
+        assert!((unit.robot_from_link(1) * Point3::new(1.0, 0.0, 0.0)).z < 0.26 - 0.29);
     }
 
     #[test]

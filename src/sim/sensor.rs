@@ -4,6 +4,7 @@
 //! the writer only formats.
 
 mod contact;
+mod depth;
 mod inertial;
 mod ranging;
 mod rescue;
@@ -11,6 +12,7 @@ mod suite;
 mod wheels;
 
 pub(crate) use contact::Camera;
+pub(crate) use depth::DepthCamera;
 pub(crate) use inertial::{Ins, WorldPose};
 pub(crate) use ranging::{Scanner, Sonar, UDK_CONES, UDK_MAX_INCIDENCE_RAD, UDK_TRACES};
 pub(crate) use rescue::{TagMemory, TagReader, VictimSensor};

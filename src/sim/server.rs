@@ -6,6 +6,7 @@
 //! one that sends too fast waits, one that does not read is cut off.
 
 mod images;
+mod monitor;
 
 pub use images::ImageType;
 
@@ -79,6 +80,8 @@ enum Event {
     Finished(ConnectionId),
     /// The connection broke.
     Broken(ConnectionId),
+    /// A line of the monitor port, and where its answer goes.
+    Monitor(Vec<u8>, oneshot::Sender<Option<Vec<u8>>>),
     /// A viewer wants to see the screen.
     Screen(oneshot::Sender<Screen>),
 }
@@ -103,6 +106,7 @@ pub struct Server {
     events: mpsc::Sender<Event>,
     inbox: mpsc::Receiver<Event>,
     images: Option<(TcpListener, ImageType)>,
+    monitor: Option<TcpListener>,
     speed: f64,
     last_turn: Instant,
 }
@@ -118,6 +122,7 @@ impl Server {
             events,
             inbox,
             images: None,
+            monitor: None,
             speed,
             last_turn: Instant::now(),
         }
@@ -129,13 +134,23 @@ impl Server {
         Self { images: Some((listener, image_type)), ..self }
     }
 
+    /// The same server with a monitor port.
+    #[must_use]
+    pub fn with_monitor(self, listener: TcpListener) -> Self {
+        Self { monitor: Some(listener), ..self }
+    }
+
     /// Serves until `stop` is done; then all connections close.
     pub async fn run(mut self, stop: impl Future<Output = ()>) {
         let mut stop = std::pin::pin!(stop);
-        let mut viewers = JoinSet::new();
+        // Side services end with this value.
+        let mut services = JoinSet::new();
         if let Some((listener, image_type)) = self.images.take() {
             let dialect = self.session.dialect();
-            viewers.spawn(images::serve(listener, image_type, dialect, self.events.clone()));
+            services.spawn(images::serve(listener, image_type, dialect, self.events.clone()));
+        }
+        if let Some(listener) = self.monitor.take() {
+            services.spawn(monitor::serve(listener, self.events.clone()));
         }
         let mut turns = interval(TURN);
         turns.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -179,7 +194,8 @@ impl Server {
             Event::Bytes(id, bytes) => self.session.receive(id, &bytes),
             Event::Finished(id) => self.session.finish(id),
             Event::Broken(id) => self.remove(id, "the connection broke"),
-            // A viewer that has gone needs no answer.
+            // Who has gone needs no answer.
+            Event::Monitor(line, tell) => drop(tell.send(self.session.monitor(&line))),
             Event::Screen(tell) => drop(tell.send(self.session.screen())),
         }
     }

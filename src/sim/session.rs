@@ -30,7 +30,9 @@
 
 mod command;
 mod connection;
+mod controller;
 mod fault;
+mod monitor;
 mod reply;
 mod robot;
 mod screen;
@@ -59,6 +61,12 @@ use robot::{Robot, Stage};
 use screen::Shown;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+
+/// Robots at a time, as the game's `MaxPlayers`; one more gets silence.
+const MOST_ROBOTS: usize = 16;
+
+/// Robots that are gone and remembered.
+const MOST_PAST: usize = 64;
 
 /// A robot of the scenario: what a client gets that asks for its class.
 struct Planned {
@@ -239,7 +247,7 @@ impl Session {
     }
 
     /// Takes the truth of the scanner lines cast since the last call: for scoring only. At most the
-    /// latest 4096 are kept.
+    /// latest 256 are kept.
     pub fn take_casts(&mut self, id: ConnectionId) -> Vec<CastTruth> {
         let key = self.connections.get(&id).and_then(|connection| connection.robot);
         let robot = key.and_then(|key| self.robots.iter_mut().find(|robot| robot.key == key));
@@ -409,6 +417,12 @@ impl Session {
         let Some(at) = self.robots.iter().position(|robot| robot.key == key) else { return };
         let mut robot = self.robots.remove(at);
         robot.vehicle.remove(&mut self.physics);
+        while self.past.len() >= MOST_PAST {
+            self.past.pop_first();
+        }
+        while self.past_scores.len() >= MOST_PAST {
+            self.past_scores.pop_first();
+        }
         self.past.insert(robot.name.clone(), robot.truth(self.now));
         self.past_scores.insert(robot.name, robot.score.reborn());
         self.number_views();

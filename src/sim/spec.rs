@@ -81,6 +81,10 @@ pub struct PanTiltSpec {
     pub torque: Option<f64>,
     /// Whether the unit's angles are reported (MISSTA, ASTA).
     pub status: Option<bool>,
+    /// Whether the pan turns to the right where the wire's frames promise left.
+    pub pan_inverted: Option<bool>,
+    /// Whether the tilt turns down where the wire's frames promise up.
+    pub tilt_inverted: Option<bool>,
     /// UDK: undamped frequency of the joint's spring in hertz.
     pub spring_hz: Option<f64>,
     /// UDK: damping ratio of the joint's spring.
@@ -99,6 +103,8 @@ impl PanTiltSpec {
             speed_rad_s: self.speed_rad_s.or(other.speed_rad_s),
             torque: self.torque.or(other.torque),
             status: self.status.or(other.status),
+            pan_inverted: self.pan_inverted.or(other.pan_inverted),
+            tilt_inverted: self.tilt_inverted.or(other.tilt_inverted),
             spring_hz: self.spring_hz.or(other.spring_hz),
             spring_damping: self.spring_damping.or(other.spring_damping),
         }
@@ -154,6 +160,8 @@ pub enum SensorKind {
     Gps,
     /// Wheel speeds (UDK).
     Tachometer,
+    /// Depth camera: an image in strips when told to (UDK's KinectDepth).
+    RangeImager,
     /// A camera; its pictures come from the image server.
     Camera,
 }
@@ -174,6 +182,7 @@ impl SensorKind {
             Self::GroundTruth => "GroundTruth",
             Self::Gps => "GPS",
             Self::Tachometer => "Tachometer",
+            Self::RangeImager => "RangeImager",
             Self::Camera => "Camera",
         }
     }
@@ -192,6 +201,7 @@ impl SensorKind {
             Self::RfidReleaser => &["tags"],
             Self::Touch => &["diameter_m", "interval_s"],
             Self::Gps => &["satellites", "interval_s"],
+            Self::RangeImager => &["max_range_m", "width", "height", "fov_deg", "interval_s"],
             Self::Camera => &["fov_deg", "min_fov_deg", "max_fov_deg", "width", "height"],
             Self::Ins | Self::GroundTruth | Self::Tachometer => &["interval_s"],
         }

@@ -292,6 +292,19 @@ impl World {
         Some(Hit { range_m, normal, object: ObjectId(leaf) })
     }
 
+    /// How many objects the straight line between two points passes through.
+    pub fn obstacles_between(&self, from: &Point3<f64>, to: &Point3<f64>) -> usize {
+        let way = to - from;
+        let length = way.norm();
+        if length <= 0.0 {
+            return 0;
+        }
+        let direction = way / length;
+        let hits = (0..self.objects.len())
+            .filter(|index| self.cast_object(*index, from, &direction, length).is_some());
+        hits.count()
+    }
+
     fn cast_object(
         &self,
         index: usize,

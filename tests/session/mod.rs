@@ -1,7 +1,11 @@
 //! Plain clients against the stand-in server, over real sockets on free ports.
 
+mod fleet;
+mod opening;
 mod operator;
+mod pictures;
 mod server;
+mod statistics;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -13,7 +17,7 @@ use tokio::sync::oneshot;
 use usar_agent::files::world::load_world;
 use usar_agent::protocol::Dialect;
 use usar_agent::sim::Session;
-use usar_agent::sim::server::{Server, listen};
+use usar_agent::sim::server::{ImageType, Server, listen};
 
 /// Level time per wall time: bursts come every 20 ms.
 const SPEED: f64 = 10.0;
@@ -24,6 +28,8 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// A server on a thread of its own; it ends with the value.
 struct Stand {
     address: SocketAddr,
+    images: SocketAddr,
+    monitor: SocketAddr,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -43,15 +49,25 @@ impl Stand {
                 .build()
                 .unwrap();
             runtime.block_on(async {
-                let listener = listen(SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
-                tell.send(listener.local_addr().unwrap()).unwrap();
+                let free = SocketAddr::from(([127, 0, 0, 1], 0));
+                let [robots, viewers, monitors] = [
+                    listen(free).await.unwrap(),
+                    listen(free).await.unwrap(),
+                    listen(free).await.unwrap(),
+                ];
+                let addresses = [&robots, &viewers, &monitors].map(|l| l.local_addr().unwrap());
+                tell.send(addresses).unwrap();
+                let server = Server::new(session, robots, SPEED)
+                    .with_images(viewers, ImageType::usual(dialect))
+                    .with_monitor(monitors);
                 let stop = async {
                     let _ = stopped.await;
                 };
-                Server::new(session, listener, SPEED).run(stop).await;
+                server.run(stop).await;
             });
         });
-        Self { address: told.recv().unwrap(), stop: Some(stop), thread: Some(thread) }
+        let [address, images, monitor] = told.recv().unwrap();
+        Self { address, images, monitor, stop: Some(stop), thread: Some(thread) }
     }
 
     fn client(&self) -> Client {

@@ -151,7 +151,8 @@ fn program(arguments: &[&str]) -> (String, std::process::Child) {
 #[test]
 fn the_program_names_its_port_first_and_ends_with_success_when_asked_to() {
     for signal in ["-INT", "-TERM"] {
-        let (line, mut child) = program(&["yellow", "--port", "0", "--image-port", "0"]);
+        let (line, mut child) =
+            program(&["yellow", "--port", "0", "--image-port", "0", "--monitor-port", "0"]);
         let address = line.strip_prefix("listening on ").expect(&line).parse().unwrap();
         assert_eq!(Client::connect(address).line().unwrap(), GREETING);
         let killed = Command::new("kill").args([signal, &child.id().to_string()]).status();
@@ -169,7 +170,16 @@ fn a_port_that_is_taken_is_one_line_and_failure() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
     let output = Command::new(assert_cmd::cargo::cargo_bin!("usar"))
-        .args(["sim", "yellow", "--port", &port.to_string(), "--image-port", "0"])
+        .args([
+            "sim",
+            "yellow",
+            "--port",
+            &port.to_string(),
+            "--image-port",
+            "0",
+            "--monitor-port",
+            "0",
+        ])
         .output()
         .unwrap();
     let text = String::from_utf8(output.stderr).unwrap();

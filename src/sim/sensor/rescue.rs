@@ -180,10 +180,15 @@ impl TagMemory {
         self.tags.iter().filter(move |tag| (tag.position - point).norm() <= reach_m)
     }
 
-    /// Drops a new tag at a point.
-    pub(crate) fn release(&mut self, position: Point3<f64>) {
+    /// Drops a new tag at a point; false if the world is full of them.
+    pub(crate) fn release(&mut self, position: Point3<f64>) -> bool {
+        const MOST_TAGS: usize = 1024;
+        if self.tags.len() >= MOST_TAGS {
+            return false;
+        }
         let id = 1 + self.tags.iter().map(|tag| tag.id).max().unwrap_or(0).max(0);
         self.tags.push(Tag { id, position, memory: String::new() });
+        true
     }
 }
 

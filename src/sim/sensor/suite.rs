@@ -2,8 +2,8 @@
 
 use super::contact::{Bumper, Camera, Receiver, Releaser};
 use super::{
-    Carrier, Encoder, Ins, Mounting, Odometry, Scanner, Sonar, Tachometer, TagMemory, TagReader,
-    VictimSensor, WorldPose,
+    Carrier, DepthCamera, Encoder, Ins, Mounting, Odometry, Scanner, Sonar, Tachometer, TagMemory,
+    TagReader, VictimSensor, WorldPose,
 };
 use crate::protocol::message::sen::{self, RangeReading, RangeReadings, RangeScanner, Sen};
 use crate::protocol::{Dialect, Message};
@@ -58,6 +58,7 @@ pub(crate) enum Device {
     Truth(WorldPose),
     Receiver(Receiver),
     Tachometer(Tachometer),
+    Depth(DepthCamera),
     Camera(Camera),
 }
 
@@ -76,6 +77,7 @@ impl Device {
             Self::Truth(it) => &it.mounting,
             Self::Receiver(it) => &it.mounting,
             Self::Tachometer(it) => &it.mounting,
+            Self::Depth(it) => &it.mounting,
             Self::Camera(it) => &it.mounting,
         }
     }
@@ -128,9 +130,10 @@ pub(crate) struct Suite {
 }
 
 /// The types of a burst in the order of a real recording; touch, which it lacks, after the encoders.
-const BURST_ORDER: [SensorKind; 11] = [
+const BURST_ORDER: [SensorKind; 12] = [
     SensorKind::Sonar,
     SensorKind::RangeScanner,
+    SensorKind::RangeImager,
     SensorKind::Ins,
     SensorKind::Odometry,
     SensorKind::Encoder,
@@ -314,6 +317,7 @@ fn device(
         SensorKind::GroundTruth => Device::Truth(WorldPose::new(spec, units, dialect)),
         SensorKind::Gps => Device::Receiver(Receiver::new(spec, units)),
         SensorKind::Tachometer => Device::Tachometer(Tachometer::new(spec, carrier)),
+        SensorKind::RangeImager => Device::Depth(DepthCamera::new(spec, units)),
         SensorKind::Camera => Device::Camera(Camera::new(spec, units)),
     }
 }
@@ -361,6 +365,7 @@ impl Item {
                 Sen::Gps(sen::Gps { time: udk_time, ..receiver.read(carrier) })
             }
             Device::Tachometer(tachometer) => Sen::Tachometer(tachometer.read(carrier, *stamp)),
+            Device::Depth(depth) => Sen::RangeImager(depth.read(carrier, surroundings, *stamp)),
             Device::Camera(_) | Device::Releaser(_) => return None,
         };
         Some(Message::Sen(sen))

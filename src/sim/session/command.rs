@@ -2,7 +2,7 @@
 
 use super::connection::{ConnectionId, Question};
 use super::robot::{Birth, Robot, Stage};
-use super::{Planned, Session, setting};
+use super::{MOST_ROBOTS, Planned, Session, setting};
 use crate::protocol::command::{CameraCommand, Init, MisPkgForm, Order};
 use crate::protocol::message::Nfo;
 use crate::protocol::{Command, Dialect, Message, NamedPose, WirePose};
@@ -47,6 +47,7 @@ impl Session {
             Command::GetGeo(query) => self.question(id, Question::Geo(query)),
             Command::GetConf(query) => self.question(id, Question::Conf(query)),
             Command::Set(set) => self.set(id, &set),
+            Command::Control(control) => self.control(id, &control),
             other => self.steer(id, &other),
         }
     }
@@ -130,10 +131,13 @@ impl Session {
 
     /// Makes a robot. A class that nobody knows, and a place that another robot takes, get silence.
     fn init(&mut self, id: ConnectionId, init: &Init) {
-        if self.scenario.dialect == Dialect::Ut2004 && is_class(&init.class_name, "MultiView") {
-            if let Some(connection) = self.connections.get_mut(&id) {
-                connection.multi_view = true;
-            }
+        let multi_view = is_class(&init.class_name, "MultiView");
+        let controller = is_class(&init.class_name, "WorldController");
+        if let Some(connection) = self.connections.get_mut(&id)
+            && (multi_view || controller)
+        {
+            connection.multi_view |= multi_view && self.scenario.dialect == Dialect::Ut2004;
+            connection.controller |= controller;
             return self.number_views();
         }
         let name = init.name.clone().filter(|name| !name.is_empty());
@@ -142,6 +146,10 @@ impl Session {
             tracing::warn!(class = init.class_name, "no such robot class: the client gets silence");
             return;
         };
+        if self.robots.len() >= MOST_ROBOTS {
+            tracing::warn!(robot = name, MOST_ROBOTS, "too many robots: the client gets silence");
+            return;
+        }
         let wanted = self.spawn_pose(init, &name);
         let place = self.lifted(wanted, &class);
         if self.crowded(&place, &class) {

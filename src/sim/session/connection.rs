@@ -35,6 +35,8 @@ pub(super) struct Connection {
     pub(super) closed: bool,
     /// The client has sent its last.
     pub(super) finished: bool,
+    /// It is a world controller.
+    pub(super) controller: bool,
     /// It splits the screen (UT2004).
     pub(super) multi_view: bool,
     pub(super) geo: VecDeque<Query>,
@@ -53,6 +55,7 @@ impl Connection {
             earlier: Vec::new(),
             closed: false,
             finished: false,
+            controller: false,
             multi_view: false,
             geo: VecDeque::new(),
             conf: VecDeque::new(),

@@ -40,7 +40,7 @@ fn asked(query: &Query) -> Option<String> {
 /// The answer to GETGEO; `None` where UDK keeps silent.
 pub(super) fn geo(robot: &Robot, query: &Query) -> Option<Message> {
     let type_name = query.type_name.as_str();
-    if type_name == "Robot" {
+    if type_name.eq_ignore_ascii_case("Robot") {
         return Some(Message::Geo(Geo::Robot(robot_geo(robot))));
     }
     let udk = robot.dialect == Dialect::Udk;
@@ -58,11 +58,14 @@ pub(super) fn geo(robot: &Robot, query: &Query) -> Option<Message> {
         }
         Geo::Actuator(items_geo("Actuator", items, query))
     } else {
+        let of_type = |item: &&Item| item.kind.name().eq_ignore_ascii_case(type_name);
+        // Answered as the type is spelt here; one that nothing has, as it was asked.
+        let type_name = robot.suite.items.iter().find(of_type).map_or(type_name, |i| i.kind.name());
         let items: Vec<WireMounting> = robot
             .suite
             .items
             .iter()
-            .filter(|item| item.kind.name().eq_ignore_ascii_case(type_name))
+            .filter(of_type)
             .map(|item| item.device.mounting())
             .filter(|mounting| matches(query, &mounting.name))
             .map(|mounting| mounting_geo(robot, mounting))
@@ -204,7 +207,7 @@ fn actuator_geo(robot: &Robot, unit: &PanTilt) -> ActuatorGeo {
 /// The answer to GETCONF; `None` where UDK keeps silent.
 pub(super) fn conf(robot: &Robot, query: &Query) -> Option<Message> {
     let type_name = query.type_name.as_str();
-    if type_name == "Robot" {
+    if type_name.eq_ignore_ascii_case("Robot") {
         return Some(Message::Conf(Conf::Robot(robot_conf(robot))));
     }
     let udk = robot.dialect == Dialect::Udk;

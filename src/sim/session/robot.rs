@@ -29,7 +29,7 @@ const UDK_STATUS_S: f64 = 0.1;
 const SCAN_LAG: Span = Span::from_millis(100);
 
 /// Casts whose truth is kept for whoever scores.
-const MOST_CASTS: usize = 4096;
+const MOST_CASTS: usize = 256;
 
 /// What a battery reports that lasts for ever.
 const ENDLESS_BATTERY_S: i64 = 99_999;
@@ -394,10 +394,7 @@ impl Robot {
     }
 
     fn angles(&self) -> [f64; 2] {
-        self.units.first().map_or([0.0; 2], |unit| {
-            // The wire's tilt is positive up, the core's pitch positive down.
-            [unit.joints[0].angle_rad, -unit.joints[1].angle_rad]
-        })
+        self.units.first().map_or([0.0; 2], PanTilt::true_angles_rad)
     }
 
     /// Notes where the scanners stood when they cast.

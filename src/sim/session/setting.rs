@@ -56,6 +56,7 @@ pub(super) fn apply(
                         .sense(stage, tags, stamp, |suite, instant| suite.scan_now(name, instant));
                     item(name, !lines.is_empty())
                 }
+                ("rangeimager", "scan") => item(name, start_imaging(robot, name)),
                 ("camera", "zoom" | "fov") => zoom(robot, name, number(params)),
                 ("rfid", opcode) => rfid(robot, name, opcode, params, tags),
                 ("rfidreleaser", "release") => item(name, release(robot, name, tags)),
@@ -86,6 +87,18 @@ pub(super) fn apply(
 
 fn number(text: &str) -> f64 {
     text.trim().parse().unwrap_or(0.0)
+}
+
+/// Lets the named depth camera, or all, send an image.
+fn start_imaging(robot: &mut Robot, name: &str) -> bool {
+    let mut found = false;
+    for device in robot.suite.of(SensorKind::RangeImager, name) {
+        if let Device::Depth(depth) = device {
+            depth.start();
+            found = true;
+        }
+    }
+    found
 }
 
 /// Sets the view of the named camera, or of all, and tells the views of all.
@@ -149,8 +162,7 @@ fn release(robot: &mut Robot, name: &str, tags: &mut TagMemory) -> bool {
         return false;
     }
     gun.left -= 1;
-    tags.release(Point3::from(carrier.world_from_sensor(&gun.mounting).translation.vector));
-    true
+    tags.release(Point3::from(carrier.world_from_sensor(&gun.mounting).translation.vector))
 }
 
 /// UT2004: `Angle`, `Velocity`, `Torque` and their relatives, by name or number, for the joints of

@@ -3,7 +3,9 @@ use crate::protocol::message::Sen;
 use crate::protocol::{Framed, LineSplitter, parse};
 use crate::sim::map_file::MapFile;
 
+mod faults;
 mod station;
+mod udk;
 mod ut2004;
 
 /// A client of a session with the lines it has read.

@@ -413,3 +413,26 @@ fn how_time_is_cut_into_calls_does_not_matter() {
     };
     assert_eq!(run(&[2000]), run(&[1, 7, 192, 800, 500, 500]));
 }
+
+#[test]
+fn a_world_controller_moves_robots_and_hears_nothing_unasked() {
+    let mut client = Client::spawned("P2AT", "");
+    let controller = client.session.connect();
+    let say = |client: &mut Client, line: &str| {
+        client.session.receive(controller, format!("{line}\r\n").as_bytes());
+        client.run(0.3);
+        String::from_utf8(client.session.take_output(controller)).unwrap()
+    };
+    // Before it has said what it is, nothing happens.
+    say(&mut client, "CONTROL {Type AbsMove} {Name R1} {Location 1,2,-0.3}");
+    assert!(client.truth().world_from_robot.translation.vector.xy().norm() < 0.1);
+    say(&mut client, "INIT {ClassName USARBot.WorldController} {Name WC}");
+    assert_eq!(say(&mut client, "CONTROL {Type AbsMove} {Name R1} {Location 1,2,-0.3}"), "");
+    let place = client.truth().world_from_robot.translation.vector;
+    assert!((place.x - 1.0).abs() < 0.05 && (place.y + 2.0).abs() < 0.05, "{place}");
+    say(&mut client, "CONTROL {Type RelMove} {Name R1} {Location -1,0,-0.1}");
+    let state = say(&mut client, "CONTROL {Type GetSTA} {Name R1}");
+    assert!(state.starts_with("STA {Name R1} {Size 0.5484,0.5512,0.4050}"), "{state}");
+    assert!(state.contains("{Location -0.0") || state.contains("{Location 0.0"), "{state}");
+    assert_eq!(say(&mut client, "CONTROL {Type GetSTA} {Name R7}"), "");
+}
