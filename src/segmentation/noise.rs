@@ -100,19 +100,23 @@ impl NoiseEstimator {
     pub fn estimate(&mut self, field: &Field) -> RangeNoise {
         self.counts.iter_mut().for_each(|class| class.fill(0));
         self.squares.iter_mut().for_each(|class| class.fill(0.0));
-        let nearest = field.range.iter().copied().filter(|&r| r > 0.0).fold(f32::MAX, f32::min);
-        let farthest = field.range.iter().copied().fold(0.0, f32::max);
+        let (mut nearest, mut farthest) = (f32::MAX, 0.0);
+        for &range in &field.range {
+            nearest = if range > 0.0 && range < nearest { range } else { nearest };
+            farthest = if range > farthest { range } else { farthest };
+        }
         let per_metre = RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3);
         let lanes = field.lanes;
         let stride = (field.len() / SAMPLES).max(1);
         for step in (0..field.steps.saturating_sub(3)).step_by(stride) {
             let row = |k: usize| &field.inverse[(step + k) * lanes..(step + k + 1) * lanes];
             let (a, b, c, d) = (row(0), row(1), row(2), row(3));
+            let ranges = &field.range[(step + 1) * lanes..(step + 2) * lanes];
             for lane in 0..lanes {
                 if a[lane] * b[lane] * c[lane] * d[lane] == 0.0 {
                     continue;
                 }
-                let range = 1.0 / b[lane];
+                let range = ranges[lane];
                 let third = (a[lane] - d[lane]) + 3.0 * (c[lane] - b[lane]);
                 let error = third.abs() * range * range;
                 let class = ((range - nearest) * per_metre) as usize;

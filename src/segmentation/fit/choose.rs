@@ -7,7 +7,13 @@ use super::{Fitted, Model, PlaneFit, Readings, fit_plane};
 use nalgebra::{Matrix5, Point3, Unit, Vector3};
 
 /// Errors beyond this many standard deviations cost no more: the cost is that of an outlier.
-const CAP: f64 = 5.0;
+pub(in super::super) const CAP: f64 = 5.0;
+/// Excess of a plane's mean square error that imperfect surfaces and a wrong noise level explain.
+const IMPERFECT: f64 = 0.05;
+/// Share of a curved surface's mean square error on a plane below which it is none, and the greatest
+/// mean square error for which that holds: beyond it errors may be cut.
+const BENT: f64 = 0.3;
+const MOST_BENT: f64 = 4.0;
 
 /// The model that explains the readings at the least cost, and its mean square error.
 ///
@@ -27,7 +33,9 @@ pub(in super::super) fn choose(
         }
     };
     let plane = fit_plane(readings);
-    let flat = plane.as_ref().is_some_and(|plane| plane_is_enough(readings, plane));
+    let flat = plane.as_ref().is_some_and(|plane| {
+        is_flat(capped_error(readings, &plane.model()), readings.len(), plane, limits)
+    });
     if let Some(plane) = plane {
         let model = plane.model();
         offer(Fitted::Plane(plane), &model);
@@ -61,10 +69,23 @@ fn capped_error(readings: &Readings, model: &Model) -> f64 {
         .sum()
 }
 
-/// Whether the plane's errors are those of its noise, so that no other shape needs to be tried.
-fn plane_is_enough(readings: &Readings, plane: &PlaneFit) -> bool {
-    let n = readings.len() as f64;
-    capped_error(readings, &plane.model()) < n + 3.0 * (2.0 * n).sqrt()
+/// Whether `count` errors on a plane, whose squares cut at [`CAP`]² sum up to `error`, are not those
+/// of a curved surface, so that no other shape needs to be tried.
+///
+/// They are not if they are noise. Nor if they are small for the region's size: a chord w of an arc
+/// of half angle α has a sagitta of w/2 · tan(α/2), of which a plane leaves 0.3 root mean square, and
+/// the arc that must be seen is given.
+pub(in super::super) fn is_flat(
+    error: f64,
+    count: usize,
+    plane: &PlaneFit,
+    limits: &ShapeLimits,
+) -> bool {
+    let n = count as f64;
+    let half_arc = (0.5 * limits.min_arc_deg).min(limits.min_cap_deg).to_radians();
+    let bend = 0.15 * plane.width_m * (0.5 * half_arc).tan() / plane.sigma_m;
+    let excess = (3.0 * (2.0 / n).sqrt()).max(IMPERFECT).max((BENT * bend * bend).min(MOST_BENT));
+    error < n * (1.0 + excess)
 }
 
 /// The angle at the centre between the middle of the cap and its border, both robust: the border is

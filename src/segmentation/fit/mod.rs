@@ -12,7 +12,8 @@ mod sphere;
 
 pub(super) use choose::choose;
 pub(super) use cylinder::fit_cylinder;
-pub(super) use plane::{PlaneFit, fit_plane};
+pub(super) use choose::{CAP, is_flat};
+pub(super) use plane::{PlaneFit, PlaneStart, PlaneSums, fit_plane};
 pub(super) use sphere::fit_sphere;
 
 use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, Unit, Vector3};
@@ -24,6 +25,14 @@ const LEAST_COSINE: f64 = 0.05;
 const GATE: f64 = 3.0;
 /// Standard deviation left inside the gate of ±3 of a normal distribution, squared.
 const GATED_VARIANCE: f64 = 0.9733;
+
+/// About how many readings, evenly taken, lead an iteration to where all of them finish it.
+const START_READINGS: usize = 250;
+
+/// Step through the readings in a round of an iteration: all of them count once it has a gate.
+fn stride_until(gate: f64, readings: &Readings) -> usize {
+    if gate.is_finite() { 1 } else { readings.len().div_ceil(START_READINGS).max(1) }
+}
 
 /// The readings of one region, gathered so that fits run over plain arrays.
 #[derive(Clone, Debug, Default)]
