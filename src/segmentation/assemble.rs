@@ -6,7 +6,9 @@ use super::borders::Borders;
 use super::components::{Components, NONE};
 use super::config::SegmentationConfig;
 use super::field::Field;
-use super::fit::{CAP, Fitted, Model, PlaneFit, PlaneStart, PlaneSums, Readings, choose, is_flat};
+use super::fit::{
+    CAP, Candidates, Fitted, Model, PlaneFit, PlaneStart, PlaneSums, Readings, choose, is_flat,
+};
 use super::hull::HullFinder;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 use nalgebra::{Point2, Point3, Vector3};
@@ -175,22 +177,22 @@ impl Assembler {
         let belongs = |cell: usize| self.components.of_cell[cell] == component as u32;
         let axes = candidate_axes(field, cells, belongs);
         let stride = cells.len().div_ceil(TRIAL_CELLS).max(1);
-        for stride in [stride, 1] {
-            self.readings.clear();
-            for &cell in cells.iter().step_by(stride) {
-                let cell = cell as usize;
-                let (inverse, sigma) = (f64::from(field.inverse[cell]), field.sigma_m(cell));
-                self.readings.push(field.point(cell), inverse, sigma, self.core[cell]);
-            }
-            let (fitted, _) = choose(&self.readings, &axes, &config.limits);
-            if matches!(fitted, Fitted::Plane(_)) {
-                return None;
-            }
-            if stride == 1 {
-                return Some(fitted);
-            }
+        gather(field, cells.iter().step_by(stride), &self.core, &mut self.readings);
+        let (trial, _) = choose(&self.readings, &axes, &config.limits, Candidates::All);
+        let candidates = match trial {
+            Fitted::Plane(_) => return None,
+            Fitted::Other => return Some(Fitted::Other),
+            Fitted::Sphere { .. } => Candidates::Sphere,
+            Fitted::Cylinder { .. } => Candidates::Cylinder,
+        };
+        if stride == 1 {
+            return Some(trial);
         }
-        None
+        gather(field, cells.iter(), &self.core, &mut self.readings);
+        match choose(&self.readings, &axes, &config.limits, candidates) {
+            (Fitted::Plane(_), _) => None,
+            (fitted, _) => Some(fitted),
+        }
     }
 
     fn write_surfaces(&mut self, field: &Field, result: &mut Segmentation) {
@@ -231,8 +233,7 @@ impl Assembler {
                 }
                 Fitted::Other => {
                     // From the plane across the line of sight through the centroid.
-                    let square =
-                        plain.mean_square_distance(&centroid.normalize(), centroid.norm());
+                    let square = plain.mean_square_distance(&centroid.normalize(), centroid.norm());
                     (Shape::Other, square)
                 }
             };
@@ -263,11 +264,23 @@ impl Assembler {
     }
 }
 
+/// Gathers the readings of cells.
+fn gather<'a>(
+    field: &Field,
+    cells: impl Iterator<Item = &'a u32>,
+    core: &[bool],
+    readings: &mut Readings,
+) {
+    readings.clear();
+    for &cell in cells {
+        let cell = cell as usize;
+        let (inverse, sigma) = (f64::from(field.inverse[cell]), field.sigma_m(cell));
+        readings.push(field.point(cell), inverse, sigma, core[cell]);
+    }
+}
+
 /// Mean square of the geometric distance from a shape.
-fn mean_square_distance(
-    model: &Model,
-    points: impl ExactSizeIterator<Item = Vector3<f64>>,
-) -> f64 {
+fn mean_square_distance(model: &Model, points: impl ExactSizeIterator<Item = Vector3<f64>>) -> f64 {
     let count = points.len().max(1) as f64;
     points.map(|p| model.distance(&p).0.powi(2)).sum::<f64>() / count
 }

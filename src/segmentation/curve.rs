@@ -42,6 +42,11 @@ const GUESS_STICKS: usize = 20;
 /// Mean square error of the best part of the facets beyond which trimming does not save a guess.
 const HOPELESS: f64 = 40.0;
 
+/// Guesses that are looked at, the largest first: real scans have clutter that falls into any number
+/// of facets, and the cost is to grow with the points alone.
+const FEWEST_GUESSES: usize = 64;
+const CELLS_PER_GUESS: usize = 128;
+
 /// What is guessed.
 enum Guess {
     /// A cylinder along an axis.
@@ -83,6 +88,7 @@ impl CurveFinder {
         self.in_set.clear();
         self.in_set.resize(sticks.sticks.len(), false);
         self.collect_guesses(grower, limits);
+        self.guesses.truncate(FEWEST_GUESSES + field.len() / CELLS_PER_GUESS);
         for k in 0..self.guesses.len() {
             let (_, a, b) = self.guesses[k];
             // Facets that an earlier guess has taken are gone.

@@ -76,6 +76,32 @@ impl HullFinder {
         self.candidates.clear();
         self.candidates
             .extend(self.outer.iter().filter(|point| extremes.may_be_vertex(**point)).copied());
+        self.keep_beyond_chords(&extremes);
+    }
+
+    /// Takes those candidates out that are inside the triangles that the farthest candidate beyond
+    /// each edge of the extremes' polygon makes with it.
+    fn keep_beyond_chords(&mut self, extremes: &Extremes) {
+        let edges: [_; DIRECTIONS] =
+            std::array::from_fn(|k| (extremes.points[k], extremes.points[(k + 1) % DIRECTIONS]));
+        let mut tops = edges.map(|(a, _)| (0.0, a));
+        for &point in &self.candidates {
+            for (top, (a, b)) in tops.iter_mut().zip(edges) {
+                let beyond = -cross(a, b, point);
+                if beyond > top.0 {
+                    *top = (beyond, point);
+                }
+            }
+        }
+        self.candidates.retain(|&point| {
+            !edges.iter().zip(&tops).any(|(&(a, b), &(height, top))| {
+                // Strictly inside, so that no vertex goes.
+                height > 0.0
+                    && cross(a, b, point) < 0.0
+                    && cross(a, top, point) > 0.0
+                    && cross(top, b, point) > 0.0
+            })
+        });
     }
 }
 

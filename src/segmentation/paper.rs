@@ -11,7 +11,7 @@ use super::components::Components;
 use super::config::{PaperConfig, SegmentationConfig};
 use super::field::Field;
 use super::fill::flood_fill;
-use super::fit::{Fitted, Model, Readings, choose};
+use super::fit::{Candidates, Fitted, Model, Readings, choose};
 use super::merge::Merger;
 use super::moments::Moments;
 use super::morphology::Morphology;
@@ -126,7 +126,7 @@ impl PaperChain {
             }
             let axes =
                 candidate_axes(field, cells, |c| self.components.of_cell[c] == component as u32);
-            let (fitted, _) = choose(&self.readings, &axes, &config.limits);
+            let (fitted, _) = choose(&self.readings, &axes, &config.limits, Candidates::All);
             self.models.push(match fitted {
                 Fitted::Plane(plane) => Some(plane.model()),
                 Fitted::Sphere { centre, radius_m, .. } => {

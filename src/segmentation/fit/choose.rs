@@ -15,6 +15,14 @@ const IMPERFECT: f64 = 0.05;
 const BENT: f64 = 0.3;
 const MOST_BENT: f64 = 4.0;
 
+/// Which curved shapes are tried beside the plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in super::super) enum Candidates {
+    All,
+    Sphere,
+    Cylinder,
+}
+
 /// The model that explains the readings at the least cost, and its mean square error.
 ///
 /// The cost is the sum of squared errors, each cut at [`CAP`], plus `k ln n` for k parameters: the
@@ -23,6 +31,7 @@ pub(in super::super) fn choose(
     readings: &Readings,
     axes: &[Vector3<f64>],
     limits: &ShapeLimits,
+    candidates: Candidates,
 ) -> (Fitted, f64) {
     let mut best = (f64::INFINITY, Fitted::Other, f64::INFINITY);
     let mut offer = |fitted: Fitted, model: &Model| {
@@ -41,12 +50,14 @@ pub(in super::super) fn choose(
         offer(Fitted::Plane(plane), &model);
     }
     if !flat {
-        if let Some(sphere) = fit_sphere(readings).filter(|s| sphere_is_seen(readings, s, limits)) {
+        let sphere = if candidates == Candidates::Cylinder { None } else { fit_sphere(readings) };
+        if let Some(sphere) = sphere.filter(|s| sphere_is_seen(readings, s, limits)) {
             let model = sphere.model();
             let SphereFit { centre, radius_m, covariance } = sphere;
             offer(Fitted::Sphere { centre: Point3::from(centre), radius_m, covariance }, &model);
         }
-        let cylinder = fit_cylinder(readings, axes);
+        let cylinder =
+            if candidates == Candidates::Sphere { None } else { fit_cylinder(readings, axes) };
         if let Some(cylinder) = cylinder.filter(|c| cylinder_is_seen(readings, c, limits)) {
             let model = cylinder.model();
             offer(bounded(readings, cylinder), &model);

@@ -1,7 +1,9 @@
 //! The circular cylinder of any axis: starts from candidate axes, then Gauss-Newton on the distance.
 
 use super::plane::largest_positive;
-use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, Readings, START_READINGS, stride_until};
+use super::{
+    GATE, GATED_VARIANCE, LEAST_COSINE, Model, RIM_COSINE, Readings, START_READINGS, stride_until,
+};
 use nalgebra::{Matrix3, Matrix5, SVector, Vector3};
 
 const ROUNDS: usize = 10;
@@ -98,9 +100,16 @@ fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<
             let radial = d - axis * height;
             let length = radial.norm().max(1e-9);
             let n = radial / length;
-            let cosine = n.dot(&readings.rays[i]).abs().max(LEAST_COSINE);
+            let cosine = n.dot(&readings.rays[i]).abs();
+            if gate.is_finite() && cosine < RIM_COSINE {
+                continue;
+            }
+            let cosine = cosine.max(LEAST_COSINE);
             let scale = 1.0 / (readings.sigmas[i] * cosine);
-            let e = (length - radius_m) * scale;
+            // An error along the ray also leads away from the surface that bends back from it.
+            let (sigma, lengthwise) = (readings.sigmas[i], axis.dot(&readings.rays[i]));
+            let across = (1.0 - lengthwise * lengthwise - cosine * cosine).max(0.0);
+            let e = (length - radius_m - 0.5 * sigma * sigma * across / length) * scale;
             if e.abs() > gate {
                 continue;
             }

@@ -155,8 +155,7 @@ impl PlaneStart {
         }
         let Solution { frame, covariance, square } = solve(&self.frame, &self.moments)?;
         let mean_square = square / ((inliers - 3.0).max(1.0) * GATED_VARIANCE);
-        let (mut frame, covariance) =
-            facing_the_sensor(frame, covariance * mean_square.max(1.0));
+        let (mut frame, covariance) = facing_the_sensor(frame, covariance * mean_square.max(1.0));
         // The centroid's foot on the plane is the origin.
         let normal = frame.rotation * Vector3::z();
         let gap = normal.dot(&(self.centroid - frame.translation.vector));

@@ -1,6 +1,6 @@
 //! The sphere: an algebraic start, then Gauss-Newton on the distance.
 
-use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, Readings, stride_until};
+use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, RIM_COSINE, Readings, stride_until};
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 const ROUNDS: usize = 8;
@@ -36,9 +36,16 @@ pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
             let radial = readings.points[i] - centre;
             let length = radial.norm().max(1e-9);
             let n = radial / length;
-            let cosine = n.dot(&readings.rays[i]).abs().max(LEAST_COSINE);
+            let cosine = n.dot(&readings.rays[i]).abs();
+            if gate.is_finite() && cosine < RIM_COSINE {
+                continue;
+            }
+            let cosine = cosine.max(LEAST_COSINE);
             let scale = 1.0 / (readings.sigmas[i] * cosine);
-            let e = (length - radius_m) * scale;
+            // An error along the ray also leads away from the surface that bends back from it.
+            let sigma = readings.sigmas[i];
+            let bend = 0.5 * sigma * sigma * (1.0 - cosine * cosine) / length;
+            let e = (length - radius_m - bend) * scale;
             if e.abs() > gate {
                 continue;
             }
