@@ -2,10 +2,13 @@
 
 use super::Stage;
 use super::axes::candidate_axes;
+use super::borders::Borders;
 use super::components::{Components, NONE};
 use super::config::SegmentationConfig;
 use super::field::Field;
-use super::fit::{Fitted, PlaneFit, Readings, choose};
+use super::fit::{
+    CAP, Candidates, Fitted, Model, PlaneFit, PlaneStart, PlaneSums, Readings, choose, is_flat,
+};
 use super::hull::HullFinder;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 use nalgebra::{Point2, Point3, Vector3};
@@ -14,12 +17,19 @@ use std::fmt::Write as _;
 /// Regions smaller than this share of `min_points` are not worth a line among the rejected.
 const REPORTED_SHARE: usize = 4;
 
+/// About how many cells of a region tell which shape it has.
+const TRIAL_CELLS: usize = 250;
+
 /// Buffers that make results without new allocations.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assembler {
     components: Components,
+    borders: Borders,
+    border: Vec<u32>,
+    /// Whether each cell is far from the border of its region to another.
+    core: Vec<bool>,
     readings: Readings,
-    fitted: Vec<(usize, Fitted, f64)>,
+    fitted: Vec<(usize, Fitted, PlaneSums)>,
     order: Vec<(usize, usize)>,
     ids: Vec<u16>,
     hull: HullFinder,
@@ -70,7 +80,11 @@ impl Assembler {
         self.order.clear();
         for component in 0..self.components.len() {
             let cells = self.components.cells(component);
-            let first = cells.iter().map(|&cell| field.grid_index(cell as usize)).min();
+            let first = if field.transposed {
+                cells.iter().map(|&cell| field.grid_index(cell as usize)).min()
+            } else {
+                cells.first().map(|&cell| cell as usize)
+            };
             let first = first.expect("a component has at least the cell it was started from");
             if cells.len() >= config.min_points.max(3) {
                 self.order.push((first, component));
@@ -94,52 +108,139 @@ impl Assembler {
     }
 
     fn fit_regions(&mut self, field: &Field, config: &SegmentationConfig) {
+        self.find_core(field);
         self.fitted.clear();
-        for &(_, component) in &self.order {
-            self.readings.clear();
-            let cells = self.components.cells(component);
-            for &cell in cells {
-                let cell = cell as usize;
-                let sigma = field.sigma_m(cell);
-                let core = self.components.is_core(cell, field);
-                self.readings.push(field.point(cell), f64::from(field.inverse[cell]), sigma, core);
-            }
-            let belongs = |cell: usize| self.components.of_cell[cell] == component as u32;
-            let axes = candidate_axes(field, cells, belongs);
-            let (fitted, mean_square) = choose(&self.readings, &axes, &config.limits);
-            self.fitted.push((component, fitted, mean_square));
+        for k in 0..self.order.len() {
+            let (_, component) = self.order[k];
+            let (sums, plane) = self.fit_plane(field, component, config);
+            let fitted = match plane {
+                Some((plane, true)) => Fitted::Plane(plane),
+                Some((plane, false)) => {
+                    self.choose_shape(field, component, config).unwrap_or(Fitted::Plane(plane))
+                }
+                None => Fitted::Other,
+            };
+            self.fitted.push((component, fitted, sums));
+        }
+    }
+
+    /// Marks the cells that have no valid neighbour of another component.
+    fn find_core(&mut self, field: &Field) {
+        let of_cell = &self.components.of_cell;
+        self.borders.find(of_cell, field.lanes, &mut self.border);
+        self.core.clear();
+        self.core.resize(field.len(), true);
+        for &cell in &self.border {
+            self.core[cell as usize] = self.components.is_core(cell as usize, field);
+        }
+    }
+
+    /// The plane of a component, if it has one, and whether it explains the readings.
+    fn fit_plane(
+        &self,
+        field: &Field,
+        component: usize,
+        config: &SegmentationConfig,
+    ) -> (PlaneSums, Option<(PlaneFit, bool)>) {
+        let cells = self.components.cells(component);
+        let mut sums = PlaneSums::default();
+        for &cell in cells {
+            let cell = cell as usize;
+            sums.add(field.point(cell), field.weight(cell), self.core[cell]);
+        }
+        let Some(mut start) = PlaneStart::of(&sums) else { return (sums, None) };
+        let mut error = 0.0;
+        for &cell in cells {
+            let cell = cell as usize;
+            let p = [field.x[cell], field.y[cell], field.z[cell]];
+            let e = start.settle(p, field.range[cell], field.gain[cell], self.core[cell]);
+            error += f64::from(e * e).min(CAP * CAP);
+        }
+        let plane = start.finish().map(|plane| {
+            let flat = is_flat(error, cells.len(), &plane, &config.limits);
+            (plane, flat)
+        });
+        (sums, plane)
+    }
+
+    /// The shape of a component that a plane does not explain; `None` if a plane is still best.
+    ///
+    /// A part of the cells, evenly taken, tells which shape it is; only a curved one is then fitted
+    /// to all of them.
+    fn choose_shape(
+        &mut self,
+        field: &Field,
+        component: usize,
+        config: &SegmentationConfig,
+    ) -> Option<Fitted> {
+        let cells = self.components.cells(component);
+        let belongs = |cell: usize| self.components.of_cell[cell] == component as u32;
+        let axes = candidate_axes(field, cells, belongs);
+        let stride = cells.len().div_ceil(TRIAL_CELLS).max(1);
+        gather(field, cells.iter().step_by(stride), &self.core, &mut self.readings);
+        let (trial, _) = choose(&self.readings, &axes, &config.limits, Candidates::All);
+        let candidates = match trial {
+            Fitted::Plane(_) => return None,
+            Fitted::Other => return Some(Fitted::Other),
+            Fitted::Sphere { .. } => Candidates::Sphere,
+            Fitted::Cylinder { .. } => Candidates::Cylinder,
+        };
+        if stride == 1 {
+            return Some(trial);
+        }
+        gather(field, cells.iter(), &self.core, &mut self.readings);
+        match choose(&self.readings, &axes, &config.limits, candidates) {
+            (Fitted::Plane(_), _) => None,
+            (fitted, _) => Some(fitted),
         }
     }
 
     fn write_surfaces(&mut self, field: &Field, result: &mut Segmentation) {
-        for (index, (component, fitted, _)) in self.fitted.drain(..).enumerate() {
+        for (index, (component, fitted, sums)) in self.fitted.drain(..).enumerate() {
             let cells = self.components.cells(component);
             let points = cells.iter().map(|&cell| Vector3::from(field.point(cell as usize)));
-            let centroid: Vector3<f64> = points.clone().sum::<Vector3<f64>>() / cells.len() as f64;
-            let shape = match fitted {
+            let plain = sums.plain();
+            let centroid = Vector3::from(plain.b) / plain.c;
+            let (shape, square) = match fitted {
                 Fitted::Plane(plane) => {
                     let PlaneFit { grid_from_plane, covariance, .. } = plane;
+                    let rotation = grid_from_plane.rotation.to_rotation_matrix();
+                    let (ex, ey) = (rotation * Vector3::x(), rotation * Vector3::y());
+                    let origin = grid_from_plane.translation.vector;
                     self.flat.clear();
-                    self.flat.extend(points.clone().map(|p| {
-                        let local = grid_from_plane.inverse_transform_point(&Point3::from(p));
-                        [local.x, local.y]
+                    self.flat.extend(points.map(|p| {
+                        let d = p - origin;
+                        [ex.dot(&d), ey.dot(&d)]
                     }));
                     let mut hull = self.spare_hulls.pop().unwrap_or_default();
                     self.hull.find(&self.flat, &mut hull);
-                    Shape::Plane(PlanePatch { grid_from_plane, covariance, hull })
+                    let patch = PlanePatch { grid_from_plane, covariance, hull };
+                    let plane = patch.plane();
+                    let square = plain.mean_square_distance(&plane.normal, plane.offset_m);
+                    (Shape::Plane(patch), square)
                 }
                 Fitted::Sphere { centre, radius_m, covariance } => {
-                    Shape::Sphere(Sphere { centre, radius_m, covariance })
+                    let model = Model::Sphere { centre: centre.coords, radius_m };
+                    let square = mean_square_distance(&model, points);
+                    (Shape::Sphere(Sphere { centre, radius_m, covariance }), square)
                 }
                 Fitted::Cylinder { axis_point, axis, radius_m, length_m, covariance } => {
-                    Shape::Cylinder(Cylinder { axis_point, axis, radius_m, length_m, covariance })
+                    let (foot, direction) = (axis_point.coords, axis.into_inner());
+                    let model = Model::Cylinder { foot, axis: direction, radius_m };
+                    let square = mean_square_distance(&model, points);
+                    let shape = Cylinder { axis_point, axis, radius_m, length_m, covariance };
+                    (Shape::Cylinder(shape), square)
                 }
-                Fitted::Other => Shape::Other,
+                Fitted::Other => {
+                    // From the plane across the line of sight through the centroid.
+                    let square = plain.mean_square_distance(&centroid.normalize(), centroid.norm());
+                    (Shape::Other, square)
+                }
             };
             result.surfaces.push(Surface {
                 id: index as u16 + 1,
                 points: cells.len(),
-                rms_m: rms_m(&shape, &centroid, points),
+                rms_m: square.max(0.0).sqrt(),
                 centroid: Point3::from(centroid),
                 shape,
             });
@@ -156,36 +257,30 @@ impl Assembler {
         result.labels.resize(field.len(), 0);
         for (cell, &component) in self.components.of_cell.iter().enumerate() {
             if component != NONE {
-                result.labels[field.grid_index(cell)] = self.ids[component as usize];
+                let cell = if field.transposed { field.grid_index(cell) } else { cell };
+                result.labels[cell] = self.ids[component as usize];
             }
         }
     }
 }
 
-/// Root mean square of the geometric distance from the shape; from the centroid's plane of sight
-/// for none.
-fn rms_m(
-    shape: &Shape,
-    centroid: &Vector3<f64>,
-    points: impl ExactSizeIterator<Item = Vector3<f64>>,
-) -> f64 {
-    use super::fit::Model;
-    let model = match shape {
-        Shape::Plane(patch) => {
-            let plane = patch.plane();
-            Model::Plane { normal: plane.normal, offset_m: plane.offset_m }
-        }
-        Shape::Sphere(s) => Model::Sphere { centre: s.centre.coords, radius_m: s.radius_m },
-        Shape::Cylinder(c) => Model::Cylinder {
-            foot: c.axis_point.coords,
-            axis: c.axis.into_inner(),
-            radius_m: c.radius_m,
-        },
-        Shape::Other => {
-            let normal = centroid.normalize();
-            Model::Plane { normal, offset_m: centroid.norm() }
-        }
-    };
+/// Gathers the readings of cells.
+fn gather<'a>(
+    field: &Field,
+    cells: impl Iterator<Item = &'a u32>,
+    core: &[bool],
+    readings: &mut Readings,
+) {
+    readings.clear();
+    for &cell in cells {
+        let cell = cell as usize;
+        let (inverse, sigma) = (f64::from(field.inverse[cell]), field.sigma_m(cell));
+        readings.push(field.point(cell), inverse, sigma, core[cell]);
+    }
+}
+
+/// Mean square of the geometric distance from a shape.
+fn mean_square_distance(model: &Model, points: impl ExactSizeIterator<Item = Vector3<f64>>) -> f64 {
     let count = points.len().max(1) as f64;
-    (points.map(|p| model.distance(&p).0.powi(2)).sum::<f64>() / count).sqrt()
+    points.map(|p| model.distance(&p).0.powi(2)).sum::<f64>() / count
 }

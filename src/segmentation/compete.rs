@@ -4,6 +4,7 @@
 //! its reading best, among those of its neighbours, with a preference for the label that most
 //! neighbours have. Cells that nothing explains are left without a label.
 
+use super::borders::Borders;
 use super::field::Field;
 use super::fit::Model;
 use super::morphology::neighbours8;
@@ -44,6 +45,7 @@ impl Rival {
     }
 
     /// Error of a reading relative to its range.
+    #[inline]
     fn error(&self, p: [f32; 3], range: f32) -> f32 {
         let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         match *self {
@@ -60,11 +62,16 @@ impl Rival {
     }
 }
 
+/// Label of a cell without a return while a competition runs.
+const NO_RETURN: u32 = u32::MAX;
+
 /// Buffers of the competition.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Competition {
-    /// One over the noise relative to the range, at each cell.
-    weight: Vec<f32>,
+    borders: Borders,
+    /// Cells that are at a border now or were at one before.
+    pub border: Vec<u32>,
+    at_border: Vec<bool>,
     front: Vec<u32>,
     changes: Vec<(u32, u32)>,
     queued: Vec<bool>,
@@ -73,28 +80,34 @@ pub(super) struct Competition {
 impl Competition {
     /// Settles the borders of `labels`; `rivals` stand at their label.
     pub fn settle(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
+        self.borders.find(labels, field.lanes, &mut self.border);
+        self.at_border.clear();
+        self.at_border.resize(field.len(), false);
+        for &cell in &self.border {
+            self.at_border[cell as usize] = true;
+        }
+        self.settle_again(field, rivals, labels);
+    }
+
+    /// Settles labels that no more than became equal, or were given other rivals, since they were
+    /// last settled.
+    pub fn settle_again(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
         let (width, length) = (field.lanes, field.len());
-        self.weight.clear();
-        self.weight.extend(
-            field
-                .range
-                .iter()
-                .map(|&r| if r > 0.0 { r / field.noise.sigma_m(f64::from(r)) as f32 } else { 0.0 }),
-        );
-        self.front.clear();
-        self.front.extend((0..length as u32).filter(|&cell| {
-            let cell = cell as usize;
-            field.is_valid(cell)
-                && neighbours8(cell, width, length).any(|n| labels[n] != labels[cell])
-        }));
+        for (label, &range) in labels.iter_mut().zip(&field.range) {
+            *label = if range > 0.0 { *label } else { NO_RETURN };
+        }
+        self.front.clone_from(&self.border);
         self.queued.clear();
         self.queued.resize(length, false);
         for _ in 0..ROUNDS {
             self.changes.clear();
             for &cell in &self.front {
-                let label = self.best_label(field, rivals, labels, cell as usize);
-                if label != labels[cell as usize] {
-                    self.changes.push((cell, label));
+                let own = labels[cell as usize];
+                if own != NO_RETURN {
+                    let label = best_label(field, rivals, labels, cell as usize);
+                    if label != own {
+                        self.changes.push((cell, label));
+                    }
                 }
             }
             if self.changes.is_empty() {
@@ -106,9 +119,13 @@ impl Competition {
             self.front.clear();
             for &(cell, _) in &self.changes {
                 for n in neighbours8(cell as usize, width, length) {
-                    if field.is_valid(n) && !self.queued[n] {
+                    if !self.queued[n] {
                         self.queued[n] = true;
                         self.front.push(n as u32);
+                        if !self.at_border[n] {
+                            self.at_border[n] = true;
+                            self.border.push(n as u32);
+                        }
                     }
                 }
             }
@@ -116,45 +133,54 @@ impl Competition {
                 self.queued[cell as usize] = false;
             }
         }
+        for label in labels.iter_mut() {
+            *label = if *label == NO_RETURN { 0 } else { *label };
+        }
     }
+}
 
-    fn best_label(&self, field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u32 {
-        // Distinct labels around the cell and how often they stand there.
-        let mut seen = [(0_u32, 0.0_f32); 10];
-        seen[1] = (labels[cell], 0.0);
-        let mut count = 2;
-        let mut around = 0.0;
-        for n in neighbours8(cell, field.lanes, field.len()) {
-            if !field.is_valid(n) {
-                continue;
-            }
-            around += 1.0;
-            let label = labels[n];
-            match seen[..count].iter_mut().find(|s| s.0 == label) {
-                Some(s) => s.1 += 1.0,
-                None => {
-                    seen[count] = (label, 1.0);
-                    count += 1;
-                }
-            }
-        }
-        let cost = |(label, votes): (u32, f32)| {
-            let error = if label == 0 {
-                UNEXPLAINED
-            } else {
-                let p = [field.x[cell], field.y[cell], field.z[cell]];
-                let e = rivals[label as usize].error(p, field.range[cell]);
-                (e * self.weight[cell]).powi(2)
-            };
-            error + DISAGREEMENT * (around - votes)
-        };
-        let mut best = (cost(seen[1]) - LEAST_GAIN, seen[1].0);
-        for &candidate in &seen[..count] {
-            let cost = cost(candidate);
-            if cost < best.0 {
-                best = (cost, candidate.0);
-            }
-        }
-        best.1
+/// The label at which a cell costs least.
+fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u32 {
+    let own = labels[cell];
+    let mut near = [NO_RETURN; 8];
+    let mut around = 0;
+    let mut agree = 0;
+    for n in neighbours8(cell, field.lanes, field.len()) {
+        near[around & 7] = labels[n];
+        around += usize::from(labels[n] != NO_RETURN);
+        agree += usize::from(labels[n] == own);
     }
+    let near = &near[..around];
+    let error = |label: u32| {
+        if label == 0 {
+            UNEXPLAINED
+        } else {
+            let p = [field.x[cell], field.y[cell], field.z[cell]];
+            let e = rivals[label as usize].error(p, field.range[cell]) * field.gain[cell];
+            e * e
+        }
+    };
+    let cost = |error: f32, votes: usize| error + DISAGREEMENT * (around - votes) as f32;
+    let kept = cost(error(own), agree) - LEAST_GAIN;
+    // Another label has an error of zero at best, and at most the votes that are left.
+    if kept <= cost(0.0, around - agree) {
+        return own;
+    }
+    let mut best = (kept, own);
+    let votes = |label: u32| near.iter().filter(|&&l| l == label).count();
+    let mut try_label = |label: u32| {
+        let cost = cost(error(label), votes(label));
+        if cost < best.0 {
+            best = (cost, label);
+        }
+    };
+    if own != 0 {
+        try_label(0);
+    }
+    for (i, &label) in near.iter().enumerate() {
+        if label != own && label != 0 && !near[..i].contains(&label) {
+            try_label(label);
+        }
+    }
+    best.1
 }

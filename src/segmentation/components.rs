@@ -12,6 +12,21 @@ pub(super) struct Components {
     pub cells: Vec<u32>,
     /// Start of each component in `cells`, and the end of the last.
     pub starts: Vec<usize>,
+    runs: Vec<Run>,
+    /// First run of each row, and the end of the last.
+    row_starts: Vec<usize>,
+    width: u32,
+    /// Where the next cell of each component goes.
+    filled: Vec<usize>,
+}
+
+/// A run of equal labels in a row: `first..end`.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    first: u32,
+    end: u32,
+    /// A run of the same component that comes before, or the run itself; in the end the component.
+    parent: u32,
 }
 
 /// No component.
@@ -26,33 +41,109 @@ impl Components {
         &self.cells[self.starts[component]..self.starts[component + 1]]
     }
 
-    /// Finds the components of `labels`; 0 is no label.
+    /// Finds the components of `labels`; 0 is no label. They are numbered by their first cell, and
+    /// list their cells in order.
+    ///
+    /// Runs of equal labels are joined row by row (union-find), so the cost of a cell is that of
+    /// comparing it with the one before it.
     pub fn find(&mut self, labels: &[u32], width: usize) {
+        self.find_runs(labels, width);
+        self.join_runs(labels);
+        self.number_runs();
         self.of_cell.clear();
         self.of_cell.resize(labels.len(), NONE);
         self.cells.clear();
-        self.starts.clear();
-        self.starts.push(0);
-        for start in 0..labels.len() {
-            if labels[start] == 0 || self.of_cell[start] != NONE {
-                continue;
+        self.cells.resize(self.starts.last().copied().unwrap_or(0), 0);
+        for run in &self.runs {
+            let component = run.parent;
+            let at = &mut self.filled[component as usize];
+            self.of_cell[run.first as usize..run.end as usize].fill(component);
+            for (slot, cell) in self.cells[*at..].iter_mut().zip(run.first..run.end) {
+                *slot = cell;
             }
-            let component = self.starts.len() as u32 - 1;
-            let mut at = self.cells.len();
-            self.cells.push(start as u32);
-            self.of_cell[start] = component;
-            while at < self.cells.len() {
-                let cell = self.cells[at] as usize;
-                at += 1;
-                for neighbour in neighbours8(cell, width, labels.len()) {
-                    if labels[neighbour] == labels[start] && self.of_cell[neighbour] == NONE {
-                        self.of_cell[neighbour] = component;
-                        self.cells.push(neighbour as u32);
+            *at += (run.end - run.first) as usize;
+        }
+    }
+
+    /// Lists the runs of equal labels in every row.
+    fn find_runs(&mut self, labels: &[u32], width: usize) {
+        self.runs.clear();
+        self.row_starts.clear();
+        for (row, labels) in labels.chunks_exact(width.max(1)).enumerate() {
+            self.row_starts.push(self.runs.len());
+            let mut first = 0;
+            while first < width {
+                let label = labels[first];
+                let same = labels[first..].iter().take_while(|&&l| l == label).count();
+                if label != 0 {
+                    let first = (row * width + first) as u32;
+                    let parent = self.runs.len() as u32;
+                    self.runs.push(Run { first, end: first + same as u32, parent });
+                }
+                first += same;
+            }
+        }
+        self.row_starts.push(self.runs.len());
+        self.width = width as u32;
+    }
+
+    /// Joins runs of one label that touch, corners included, to trees whose root comes first.
+    fn join_runs(&mut self, labels: &[u32]) {
+        for row in 1..self.row_starts.len().saturating_sub(1) {
+            let (mut above, end) = (self.row_starts[row - 1], self.row_starts[row]);
+            for here in end..self.row_starts[row + 1] {
+                let run = self.runs[here];
+                let (low, high) = (run.first - self.width, run.end - self.width);
+                while above < end && self.runs[above].end < low {
+                    above += 1;
+                }
+                let mut other = above;
+                while other < end && self.runs[other].first <= high {
+                    let label = labels[self.runs[other].first as usize];
+                    if label == labels[run.first as usize] {
+                        let (a, b) = (self.root(here as u32), self.root(other as u32));
+                        self.runs[a.max(b) as usize].parent = a.min(b);
                     }
+                    other += 1;
                 }
             }
-            self.starts.push(self.cells.len());
         }
+    }
+
+    fn root(&mut self, mut run: u32) -> u32 {
+        while self.runs[run as usize].parent != run {
+            let parent = self.runs[run as usize].parent;
+            let above = self.runs[parent as usize].parent;
+            self.runs[run as usize].parent = above;
+            run = above;
+        }
+        run
+    }
+
+    /// Replaces the parent of each run by the number of its component, and counts cells.
+    fn number_runs(&mut self) {
+        self.filled.clear();
+        for k in 0..self.runs.len() {
+            let Run { first, end, parent } = self.runs[k];
+            let size = (end - first) as usize;
+            // A parent comes before its children, so it has its number already.
+            if parent as usize == k {
+                self.runs[k].parent = self.filled.len() as u32;
+                self.filled.push(size);
+            } else {
+                let component = self.runs[parent as usize].parent;
+                self.runs[k].parent = component;
+                self.filled[component as usize] += size;
+            }
+        }
+        self.starts.clear();
+        let mut sum = 0;
+        for size in &mut self.filled {
+            self.starts.push(sum);
+            sum += *size;
+            *size = sum - *size;
+        }
+        self.starts.push(sum);
     }
 
     /// Whether a cell has no valid neighbour of another component.
@@ -66,6 +157,48 @@ impl Components {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn components_are_those_of_a_flood(
+            labels in prop::collection::vec(0..3_u32, 0..160),
+            width in 1..12_usize,
+        ) {
+            let labels = &labels[..labels.len() / width * width];
+            let mut components = Components::default();
+            components.find(labels, width);
+            let mut seen = vec![false; labels.len()];
+            let mut next = 0;
+            for start in 0..labels.len() {
+                if labels[start] == 0 {
+                    prop_assert_eq!(components.of_cell[start], NONE);
+                }
+                if labels[start] == 0 || seen[start] {
+                    continue;
+                }
+                let mut cells = vec![start];
+                seen[start] = true;
+                let mut at = 0;
+                while at < cells.len() {
+                    for n in neighbours8(cells[at], width, labels.len()) {
+                        if labels[n] == labels[start] && !seen[n] {
+                            seen[n] = true;
+                            cells.push(n);
+                        }
+                    }
+                    at += 1;
+                }
+                cells.sort_unstable();
+                let found: Vec<usize> =
+                    components.cells(next).iter().map(|&cell| cell as usize).collect();
+                prop_assert_eq!(&found, &cells);
+                prop_assert!(cells.iter().all(|&c| components.of_cell[c] == next as u32));
+                next += 1;
+            }
+            prop_assert_eq!(components.len(), next);
+        }
+    }
 
     #[test]
     fn a_label_in_two_places_is_two_components() {
@@ -73,7 +206,7 @@ mod tests {
         let mut components = Components::default();
         components.find(&labels, 3);
         assert_eq!(components.len(), 3);
-        assert_eq!(components.cells(0), [0, 4, 2]);
+        assert_eq!(components.cells(0), [0, 2, 4]);
         assert_eq!((components.cells(1), components.cells(2)), (&[6][..], &[11][..]));
     }
 }

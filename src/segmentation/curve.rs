@@ -6,6 +6,7 @@
 //! replaces what was there if it explains the same readings at a lower price.
 
 use super::config::ShapeLimits;
+use super::facets::Facets;
 use super::field::Field;
 use super::fit::{Model, Readings, fit_cylinder, fit_sphere};
 use super::grow::{Grower, neighbours};
@@ -27,14 +28,24 @@ const GATE: f64 = 3.0;
 const SLACK: f64 = 0.7;
 /// A region this many times larger than a guess does not lose sticks to it.
 const UNTOUCHABLE: f64 = 4.0;
-/// Rounds of growing and fitting.
-const ROUNDS: usize = 3;
+/// Most rounds of growing and fitting.
+const ROUNDS: usize = 5;
 /// Least cosine of incidence that is believed.
 const LEAST_COSINE: f64 = 0.1;
 
 /// Part of a facet that a guess is fitted to, and how often it is chosen anew.
 const KEPT_SHARE: f64 = 0.7;
 const TRIMS: usize = 3;
+
+/// Most sticks of a facet that a guess looks at, evenly taken.
+const GUESS_STICKS: usize = 20;
+/// Mean square error of the best part of the facets beyond which trimming does not save a guess.
+const HOPELESS: f64 = 40.0;
+
+/// Guesses that are looked at, the largest first: real scans have clutter that falls into any number
+/// of facets, and the cost is to grow with the points alone.
+const FEWEST_GUESSES: usize = 64;
+const CELLS_PER_GUESS: usize = 128;
 
 /// What is guessed.
 enum Guess {
@@ -47,7 +58,7 @@ enum Guess {
 /// Buffers of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CurveFinder {
-    members: Vec<Vec<u32>>,
+    facets: Facets,
     guesses: Vec<(f64, u32, u32)>,
     readings: Readings,
     set: Vec<u32>,
@@ -73,14 +84,15 @@ impl CurveFinder {
     ) {
         self.models.clear();
         self.models.resize(grower.regions.len(), None);
-        self.list_members(grower);
+        self.facets.load(sticks, grower);
         self.in_set.clear();
         self.in_set.resize(sticks.sticks.len(), false);
-        self.collect_guesses(sticks, grower);
+        self.collect_guesses(grower, limits);
+        self.guesses.truncate(FEWEST_GUESSES + field.len() / CELLS_PER_GUESS);
         for k in 0..self.guesses.len() {
             let (_, a, b) = self.guesses[k];
             // Facets that an earlier guess has taken are gone.
-            if self.members[a as usize].is_empty() || self.members[b as usize].is_empty() {
+            if self.facets.left[a as usize] == 0 || self.facets.left[b as usize] == 0 {
                 continue;
             }
             if let Some((model, facets)) = self.best_guess(sticks, grower, a, b, limits) {
@@ -89,43 +101,25 @@ impl CurveFinder {
         }
     }
 
-    fn list_members(&mut self, grower: &Grower) {
-        self.members.iter_mut().for_each(Vec::clear);
-        self.members.resize(grower.regions.len(), Vec::new());
-        for (s, &region) in grower.region_of.iter().enumerate() {
-            if region != 0 {
-                self.members[region as usize].push(s as u32);
-            }
-        }
-    }
-
     /// Pairs of facets that turn, the largest first.
-    fn collect_guesses(&mut self, sticks: &Sticks, grower: &Grower) {
+    fn collect_guesses(&mut self, grower: &Grower, limits: &ShapeLimits) {
         self.guesses.clear();
         for &(a, b) in &grower.merger.pairs {
+            let may_curve = |region| self.facets.may_curve(region, limits.max_radius_m);
+            if !may_curve(a) || !may_curve(b) || !self.facets.meet(a, b) {
+                continue;
+            }
             let (first, second) = (&grower.regions[a as usize], &grower.regions[b as usize]);
             let (qa, qb) = (Vector3::from(first.plane.q), Vector3::from(second.plane.q));
             let cosine = qa.dot(&qb) / (qa.norm() * qb.norm());
             // A facet on one lane has no normal of its own, so nothing is known of the turn.
-            let free = self.is_one_lane(sticks, a) || self.is_one_lane(sticks, b);
+            let free = self.facets.is_one_lane(a) || self.facets.is_one_lane(b);
             if free || (LARGEST_TURN < cosine && cosine < SMALLEST_TURN) {
                 let n = first.moments.n + second.moments.n;
                 self.guesses.push((n, a, b));
             }
         }
-        self.guesses.sort_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));
-    }
-
-    /// First and last lane of a region: its members are in order of lanes.
-    fn lanes(&self, sticks: &Sticks, region: u32) -> (u32, u32) {
-        let members = &self.members[region as usize];
-        let lane = |s: Option<&u32>| s.map_or(0, |&s| sticks.sticks[s as usize].lane);
-        (lane(members.first()), lane(members.last()))
-    }
-
-    fn is_one_lane(&self, sticks: &Sticks, region: u32) -> bool {
-        let (first, last) = self.lanes(sticks, region);
-        first == last
+        self.guesses.sort_unstable_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));
     }
 
     /// The sphere or cylinder that explains two facets, or, where these have one lane each, which
@@ -138,20 +132,20 @@ impl CurveFinder {
         b: u32,
         limits: &ShapeLimits,
     ) -> Option<(Model, [u32; 3])> {
-        if !(self.is_one_lane(sticks, a) && self.is_one_lane(sticks, b)) {
+        if !(self.facets.is_one_lane(a) && self.facets.is_one_lane(b)) {
             let guess = self.guess(sticks, grower, [a, b, b], limits)?;
             return Some((guess.1, [a, b, b]));
         }
         let mut best: Option<(f64, Model, [u32; 3])> = None;
-        for &(c, d) in &grower.merger.pairs {
-            let third = match (c == a || c == b, d == a || d == b) {
-                (true, false) => d,
-                (false, true) => c,
-                _ => continue,
+        let around_a = self.facets.near(a).len();
+        for k in 0..around_a + self.facets.near(b).len() {
+            let third = match k.checked_sub(around_a) {
+                None => self.facets.near(a)[k],
+                Some(k) => self.facets.near(b)[k],
             };
-            let spans = [a, b, third].map(|region| self.lanes(sticks, region));
+            let spans = [a, b, third].map(|region| self.facets.lanes(region));
             let narrow = spans[2].1 - spans[2].0 < 2;
-            if self.members[third as usize].is_empty()
+            if self.facets.left[third as usize] == 0
                 || !narrow
                 || spans[2] == spans[0]
                 || spans[2] == spans[1]
@@ -181,8 +175,15 @@ impl CurveFinder {
         self.bounds.clear();
         for &region in &facets[..if c == b { 2 } else { 3 }] {
             self.bounds.push(self.readings.len());
-            for &s in &self.members[region as usize] {
-                push_stick(&mut self.readings, &sticks.sticks[s as usize]);
+            let members = self.facets.sticks(region);
+            let stride = members.len().div_ceil(GUESS_STICKS).max(1);
+            for &s in members.iter().step_by(stride) {
+                if grower.region_of[s as usize] == region {
+                    push_stick(&mut self.readings, &sticks.sticks[s as usize]);
+                }
+            }
+            if self.bounds.last() == Some(&self.readings.len()) {
+                return None;
             }
         }
         self.bounds.push(self.readings.len());
@@ -242,6 +243,9 @@ impl CurveFinder {
                 }
             }
             mean = sum / count;
+            if mean > HOPELESS {
+                return None;
+            }
             model = fit(&self.readings, &self.kept)?;
         }
         Some((mean, model))
@@ -257,8 +261,13 @@ impl CurveFinder {
         mut model: Model,
         limits: &ShapeLimits,
     ) {
+        let mut before = 0;
         for _ in 0..ROUNDS {
             self.grow(field, sticks, grower, facets, &model);
+            if self.set.len() == before {
+                break;
+            }
+            before = self.set.len();
             self.readings.clear();
             for &s in &self.set {
                 push_stick(&mut self.readings, &sticks.sticks[s as usize]);
@@ -295,9 +304,12 @@ impl CurveFinder {
         self.set.clear();
         let mut readings = 0.0;
         for facet in facets {
-            for &s in &self.members[facet as usize] {
+            for &s in self.facets.sticks(facet) {
                 let stick = &sticks.sticks[s as usize];
-                if !self.in_set[s as usize] && fits(model, stick) {
+                if grower.region_of[s as usize] == facet
+                    && !self.in_set[s as usize]
+                    && fits(model, stick)
+                {
                     self.set.push(s);
                     self.in_set[s as usize] = true;
                     readings += stick.n;
@@ -365,15 +377,15 @@ impl CurveFinder {
         for &s in &self.set {
             let stick = &sticks.sticks[s as usize];
             stick.add_to(&mut region.moments);
+            let owner = grower.region_of[s as usize];
+            if owner != 0 {
+                self.facets.left[owner as usize] -= 1;
+            }
             grower.region_of[s as usize] = label;
         }
         region.plane = super::grow::Plane::of(&region.moments);
         grower.regions.push(region);
         self.models.push(Some(model));
-        self.members.push(self.set.clone());
-        for members in &mut self.members[..label as usize] {
-            members.retain(|&s| grower.region_of[s as usize] != label);
-        }
     }
 }
 

@@ -40,6 +40,8 @@ pub(super) struct Field {
     pub saturated: usize,
     /// Noise of the ranges.
     pub noise: RangeNoise,
+    /// Range over its standard deviation; zero where there is no return.
+    pub gain: Vec<f32>,
     samples: Vec<f32>,
 }
 
@@ -57,10 +59,22 @@ impl Field {
         self.noise.sigma_m(f64::from(self.range[cell]))
     }
 
+    /// Sets the noise of the ranges, and the gains that follow from it.
+    pub fn set_noise(&mut self, noise: RangeNoise) {
+        self.noise = noise;
+        let [constant, square, fourth] =
+            [noise.constant, noise.square, noise.fourth].map(|factor| factor as f32);
+        self.gain.resize(self.range.len(), 0.0);
+        for (gain, &range) in self.gain.iter_mut().zip(&self.range) {
+            let r2 = range * range;
+            *gain = range / (constant + r2 * (square + r2 * fourth)).sqrt();
+        }
+    }
+
     /// Weight of a cell in [`Moments`](super::moments::Moments): `r² / σ²`.
     pub fn weight(&self, cell: usize) -> f64 {
-        let range = f64::from(self.range[cell]);
-        range * range / self.noise.variance(range)
+        let gain = f64::from(self.gain[cell]);
+        gain * gain
     }
 
     pub fn point(&self, cell: usize) -> [f64; 3] {
@@ -100,18 +114,23 @@ impl Field {
     }
 
     fn fill(&mut self, points: impl Iterator<Item = [f32; 3]>) {
+        let length = self.len();
         for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.range, &mut self.inverse] {
-            array.clear();
+            array.resize(length, 0.0);
         }
-        for [x, y, z] in points {
-            let range = (x * x + y * y + z * z).sqrt();
-            let valid = range > NEAREST_M && range < f32::MAX;
-            let (range, inverse) = if valid { (range, 1.0 / range) } else { (0.0, 0.0) };
-            self.x.push(if valid { x } else { 0.0 });
-            self.y.push(if valid { y } else { 0.0 });
-            self.z.push(if valid { z } else { 0.0 });
-            self.range.push(range);
-            self.inverse.push(inverse);
+        let arrays = self.x.iter_mut().zip(&mut self.y).zip(&mut self.z).zip(&mut self.range);
+        for ((((x, y), z), range), point) in arrays.zip(points) {
+            let [px, py, pz] = point;
+            // NaN fails both comparisons.
+            let square = px * px + py * py + pz * pz;
+            let valid = square > NEAREST_M * NEAREST_M && square < f32::MAX;
+            (*x, *y, *z, *range) = if valid { (px, py, pz, square) } else { (0.0, 0.0, 0.0, 0.0) };
+        }
+        // Roots and quotients on their own, several at a time.
+        for (range, inverse) in self.range.iter_mut().zip(&mut self.inverse) {
+            let root = range.sqrt();
+            *inverse = if root > 0.0 { 1.0 / root } else { 0.0 };
+            *range = root;
         }
     }
 
@@ -122,7 +141,7 @@ impl Field {
     /// acos(1 / 1.0015) = 3.1° of its foot: the mean of their directions is nearly of unit length.
     fn drop_saturated(&mut self) {
         self.saturated = 0;
-        let greatest = self.range.iter().copied().fold(0.0, f32::max);
+        let greatest = self.range.iter().fold(0.0, |m, &r| if r > m { r } else { m });
         let limit = SATURATED * greatest;
         let mut sum = [0.0_f64; 3];
         let mut count = 0_usize;

@@ -6,7 +6,7 @@
 use super::field::Field;
 use super::merge::Merger;
 use super::moments::Moments;
-use super::sticks::{NO_STICK, Stick, Sticks};
+use super::sticks::{LONGEST, NO_STICK, Stick, Sticks};
 
 /// Gate of the growth in standard deviations of what is being compared.
 const GATE: f64 = 3.0;
@@ -22,6 +22,8 @@ const SEED_ERROR: f64 = 16.0;
 const WIDEST_GATE: f64 = 8.0;
 /// Fewest readings of a region that is kept.
 const FEWEST: f64 = 6.0;
+/// Growth of a region's readings after which its plane is solved anew.
+const NEWS: f64 = 1.1;
 /// Scatter of a stick about its own line, per reading, beyond which it is no seed.
 const ROUGH: f64 = 2.5;
 
@@ -104,9 +106,21 @@ impl Grower {
 
     /// Long sticks first, equal ones in their order.
     fn sort_by_length(&mut self, sticks: &Sticks) {
-        self.order.clear();
-        self.order.extend(0..sticks.sticks.len() as u32);
-        self.order.sort_by_key(|&s| std::cmp::Reverse(sticks.sticks[s as usize].n as u32));
+        // Where the sticks of each length begin, from the longest on.
+        let mut starts = [0; LONGEST + 2];
+        let place = |stick: &Stick| LONGEST - stick.n as usize;
+        for stick in &sticks.sticks {
+            starts[place(stick) + 1] += 1;
+        }
+        for place in 0..LONGEST {
+            starts[place + 1] += starts[place];
+        }
+        self.order.resize(sticks.sticks.len(), 0);
+        for (s, stick) in sticks.sticks.iter().enumerate() {
+            let start = &mut starts[place(stick)];
+            self.order[*start] = s as u32;
+            *start += 1;
+        }
     }
 
     /// Starts a region from a stick and the sticks that overlap it most on the lanes beside it.
@@ -155,6 +169,7 @@ impl Grower {
             self.region_of[s as usize] = label;
         }
         let mut at = 0;
+        let mut solved = region.moments.n;
         while at < self.front.len() {
             let stick = self.front[at];
             at += 1;
@@ -165,12 +180,18 @@ impl Grower {
                 if self.region_of[s as usize] == 0 && region.plane.fits(other) {
                     self.region_of[s as usize] = label;
                     other.add_to(&mut region.moments);
-                    region.plane = Plane::of(&region.moments);
                     self.front.push(s);
+                    // A few more readings hardly move a plane; its covariance says what it is
+                    // known to, so a plane that lags behind is only a little more careful.
+                    if region.moments.n > NEWS * solved {
+                        region.plane = Plane::of(&region.moments);
+                        solved = region.moments.n;
+                    }
                 }
             }
             self.near = near;
         }
+        region.plane = Plane::of(&region.moments);
     }
 
     /// Merges neighbouring regions that one plane explains.

@@ -1,6 +1,7 @@
 //! Neighbouring planar regions that one plane explains become one.
 
 use super::moments::Moments;
+use super::morphology::neighbours8;
 
 /// Rise of the error, in units of the noise, that a merge may always cost: three parameters and an
 /// outline fewer.
@@ -15,26 +16,21 @@ pub(super) struct Merger {
     pub pairs: Vec<(u32, u32)>,
     parents: Vec<u32>,
     costs: Vec<f64>,
+    /// Round in which each region last took another in.
+    grew: Vec<u32>,
 }
 
 impl Merger {
-    /// Lists the pairs of labels that touch in an image, corners included.
-    pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize) {
+    /// Lists the pairs of labels that touch in an image, corners included. `borders` holds the cells
+    /// at which labels meet.
+    pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize, borders: &[u32]) {
         self.pairs.clear();
-        for (step, row) in labels.chunks_exact(width.max(1)).enumerate() {
-            let next = labels.get((step + 1) * width..(step + 2) * width);
-            for lane in 0..width {
-                let label = row[lane];
-                if let Some(&right) = row.get(lane + 1) {
-                    self.push_pair(label, right);
-                }
-                if let Some(next) = next {
-                    self.push_pair(label, next[lane]);
-                    if lane > 0 {
-                        self.push_pair(label, next[lane - 1]);
-                    }
-                    if lane + 1 < width {
-                        self.push_pair(label, next[lane + 1]);
+        for &cell in borders {
+            let label = labels[cell as usize];
+            if label != 0 {
+                for n in neighbours8(cell as usize, width, labels.len()) {
+                    if n > cell as usize {
+                        self.push_pair(label, labels[n]);
                     }
                 }
             }
@@ -63,13 +59,19 @@ impl Merger {
         self.parents.extend(0..moments.len() as u32);
         self.costs.clear();
         self.costs.extend(moments.iter().map(|m| m.cost(&m.solve())));
+        self.grew.clear();
+        self.grew.resize(moments.len(), 0);
+        let mut round = 0;
         let mut changed = true;
         while changed {
             changed = false;
+            round += 1;
             for i in 0..self.pairs.len() {
                 let (a, b) = self.pairs[i];
                 let (a, b) = (self.root(a), self.root(b));
-                if a == b || !flat(a) || !flat(b) {
+                // A pair that did not merge will not, until one of the two has grown.
+                let latest = self.grew[a as usize].max(self.grew[b as usize]);
+                if a == b || (round > 1 && latest + 1 < round) || !flat(a) || !flat(b) {
                     continue;
                 }
                 let (keep, drop) = (a.min(b) as usize, a.max(b) as usize);
@@ -81,6 +83,7 @@ impl Merger {
                     moments[keep] = sum;
                     self.costs[keep] = cost;
                     self.parents[drop] = keep as u32;
+                    self.grew[keep] = round;
                     changed = true;
                 }
             }

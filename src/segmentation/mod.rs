@@ -8,10 +8,12 @@
 mod absorb;
 mod assemble;
 mod axes;
+mod borders;
 mod compete;
 mod components;
 mod config;
 mod curve;
+mod facets;
 mod field;
 mod fill;
 mod fit;
@@ -135,10 +137,11 @@ impl Segmenter {
         observe: &mut dyn FnMut(Stage),
     ) -> &Segmentation {
         self.field.load(grid);
-        self.field.noise = match self.config.range_sigma_m {
+        let noise = match self.config.range_sigma_m {
             Some(sigma_m) => RangeNoise::uniform(sigma_m),
             None => self.noise_estimator.estimate(&self.field),
         };
+        self.field.set_noise(noise);
         match self.config.method {
             Method::Paper => {
                 self.paper.run(&self.field, &self.config, &mut self.labels, observe);
@@ -171,7 +174,7 @@ impl Segmenter {
     /// The stages of the last scan as pictures.
     pub fn stage_images(&self) -> Vec<StageImage> {
         let images = match self.config.method {
-            Method::Paper => self.paper.images(),
+            Method::Paper => self.paper.images(&self.field),
             Method::Sticks => self.sticks.images(),
         };
         images.into_iter().map(|image| image.in_grid_order(&self.field)).collect()

@@ -13,6 +13,11 @@ const GAIN: f64 = 20.0;
 const KEPT: f64 = 0.6;
 /// Variance of a standard normal variable that is cut at its KEPT quantile of size (0.8416).
 const KEPT_VARIANCE: f64 = 0.2146;
+/// The same for differences over wider pitches, up to 65 % of which may be edges.
+const FAR_KEPT: f64 = 0.35;
+const FAR_KEPT_VARIANCE: f64 = 0.0667;
+/// Ratio of variances beyond which the wider pitch counts.
+const MUCH_LARGER: f64 = 1.7;
 /// Smallest believed standard deviation in metres: what 32-bit points and printed decimals leave.
 pub(super) const FLOOR_M: f64 = 4e-4;
 /// Classes of range in which the variance is estimated apart.
@@ -95,25 +100,74 @@ impl Default for NoiseEstimator {
     }
 }
 
+/// Cells apart, along and across, of the four readings of a third difference, and what is kept of
+/// them.
+#[derive(Clone, Copy, Debug)]
+struct Probe {
+    down: usize,
+    right: usize,
+    kept: f64,
+    /// Variance of a standard normal variable that is cut at its `kept` quantile of size.
+    kept_variance: f64,
+}
+
 impl NoiseEstimator {
     /// The noise of the ranges in a field. A scan without enough neighbours gets 10 mm.
+    ///
+    /// Readings of a real scanner err together: they are rounded, a row's tilt is off, a surface is
+    /// rough on a scale of several cells. Next neighbours then agree better than a surface is known,
+    /// so differences over a wider pitch along, and across, count where they are much larger. These
+    /// cross more edges, and a smaller part of them is kept.
     pub fn estimate(&mut self, field: &Field) -> RangeNoise {
+        let (mut nearest, mut farthest) = (f32::MAX, 0.0);
+        for &range in &field.range {
+            nearest = if range > 0.0 && range < nearest { range } else { nearest };
+            farthest = if range > farthest { range } else { farthest };
+        }
+        let span = (nearest, RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3));
+        let pitch = ((field.across_rad / field.along_rad).round() as usize).clamp(3, 8);
+        let near = Probe { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE };
+        let far = Probe { kept: FAR_KEPT, kept_variance: FAR_KEPT_VARIANCE, ..near };
+        let near = self.measure(field, span, near);
+        let along = self.measure(field, span, Probe { down: pitch, ..far });
+        let across = self.measure(field, span, Probe { down: 0, right: 1, ..far });
+        self.classes.clear();
+        for class in 0..RANGE_CLASSES {
+            if let Some(mut merged) = near[class] {
+                for wider in [along[class], across[class]].into_iter().flatten() {
+                    if wider.variance > MUCH_LARGER * near[class].map_or(0.0, |near| near.variance)
+                    {
+                        merged.variance = merged.variance.max(wider.variance);
+                    }
+                }
+                self.classes.push(merged);
+            }
+        }
+        model(&self.classes)
+    }
+
+    /// The variance in each class of range; `span` is the nearest range and classes per metre.
+    fn measure(
+        &mut self,
+        field: &Field,
+        (nearest, per_metre): (f32, f32),
+        probe: Probe,
+    ) -> [Option<Class>; RANGE_CLASSES] {
         self.counts.iter_mut().for_each(|class| class.fill(0));
         self.squares.iter_mut().for_each(|class| class.fill(0.0));
-        let nearest = field.range.iter().copied().filter(|&r| r > 0.0).fold(f32::MAX, f32::min);
-        let farthest = field.range.iter().copied().fold(0.0, f32::max);
-        let per_metre = RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3);
         let lanes = field.lanes;
         let stride = (field.len() / SAMPLES).max(1);
-        for step in (0..field.steps.saturating_sub(3)).step_by(stride) {
-            let row = |k: usize| &field.inverse[(step + k) * lanes..(step + k + 1) * lanes];
-            let (a, b, c, d) = (row(0), row(1), row(2), row(3));
-            for lane in 0..lanes {
-                if a[lane] * b[lane] * c[lane] * d[lane] == 0.0 {
+        let apart = probe.down * lanes + probe.right;
+        let last = lanes.saturating_sub(3 * probe.right);
+        for step in (0..field.steps.saturating_sub(3 * probe.down)).step_by(stride) {
+            for lane in 0..last {
+                let cell = step * lanes + lane;
+                let [a, b, c, d] = [0, 1, 2, 3].map(|k| field.inverse[cell + k * apart]);
+                if a * b * c * d == 0.0 {
                     continue;
                 }
-                let range = 1.0 / b[lane];
-                let third = (a[lane] - d[lane]) + 3.0 * (c[lane] - b[lane]);
+                let range = field.range[cell + apart];
+                let third = (a - d) + 3.0 * (c - b);
                 let error = third.abs() * range * range;
                 let class = ((range - nearest) * per_metre) as usize;
                 let class = class.min(RANGE_CLASSES - 1);
@@ -123,41 +177,41 @@ impl NoiseEstimator {
                 self.squares[class][size] += error * error;
             }
         }
-        self.classes.clear();
-        for class in 0..RANGE_CLASSES {
+        std::array::from_fn(|class| {
             let range_m = f64::from(nearest) + (class as f64 + 0.5) / f64::from(per_metre);
             let samples: u32 = self.counts[class].iter().sum();
             let samples = f64::from(samples);
-            if samples >= FEWEST {
-                let kept = trimmed_mean(&self.counts[class], &self.squares[class], samples);
-                let variance = kept / (KEPT_VARIANCE * GAIN);
-                self.classes.push(Class {
-                    range_m,
-                    variance: variance.max(FLOOR_M * FLOOR_M),
-                    samples,
-                });
-            }
-        }
-        model(&self.classes)
+            (samples >= FEWEST).then(|| {
+                let (counts, squares) = (&self.counts[class], &self.squares[class]);
+                let kept = trimmed_mean(counts, squares, samples, probe.kept);
+                let variance = (kept / (probe.kept_variance * GAIN)).max(FLOOR_M * FLOOR_M);
+                Class { range_m, variance, samples }
+            })
+        })
     }
 }
 
-/// Mean square of the KEPT smallest errors.
-fn trimmed_mean(counts: &[u32], squares: &[f32], samples: f64) -> f64 {
-    let mut left = KEPT * samples;
+/// Mean square of the `share` smallest errors.
+fn trimmed_mean(
+    counts: &[u32; SIZE_CLASSES],
+    squares: &[f32; SIZE_CLASSES],
+    samples: f64,
+    share: f64,
+) -> f64 {
+    let mut left = share * samples;
     let mut sum = 0.0;
     for (&count, &square) in counts.iter().zip(squares) {
         if count == 0 {
             continue;
         }
-        let share = (left / f64::from(count)).min(1.0);
-        sum += share * f64::from(square);
-        left -= share * f64::from(count);
+        let part = (left / f64::from(count)).min(1.0);
+        sum += part * f64::from(square);
+        left -= part * f64::from(count);
         if left <= 0.0 {
             break;
         }
     }
-    sum / (KEPT * samples)
+    sum / (share * samples)
 }
 
 /// The simplest polynomial with non-negative factors that explains the classes.

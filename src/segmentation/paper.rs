@@ -6,11 +6,12 @@
 
 use super::absorb::Absorber;
 use super::axes::candidate_axes;
+use super::borders::Borders;
 use super::components::Components;
 use super::config::{PaperConfig, SegmentationConfig};
 use super::field::Field;
 use super::fill::flood_fill;
-use super::fit::{Fitted, Model, Readings, choose};
+use super::fit::{Candidates, Fitted, Model, Readings, choose};
 use super::merge::Merger;
 use super::moments::Moments;
 use super::morphology::Morphology;
@@ -20,6 +21,8 @@ use super::{Stage, StageImage};
 
 /// Residual that is white in the scaled image, in standard deviations.
 const WHITE: f32 = 6.0;
+/// Residual that is white in the picture of the plain one, in metres.
+const WHITE_M: f32 = 0.05;
 /// Fewest cells that a filled region needs to get a preliminary model.
 const FEWEST_CELLS: usize = 12;
 
@@ -33,6 +36,7 @@ pub(super) struct PaperChain {
     open: Vec<u8>,
     morphology: Morphology,
     filled: Vec<u32>,
+    parted: Vec<u32>,
     sizes: Vec<usize>,
     stack: Vec<u32>,
     splitter: Splitter,
@@ -43,6 +47,8 @@ pub(super) struct PaperChain {
     merger: Merger,
     moments: Vec<Moments>,
     flat: Vec<bool>,
+    borders: Borders,
+    border: Vec<u32>,
 }
 
 impl PaperChain {
@@ -68,6 +74,7 @@ impl PaperChain {
             let last = self.sizes.len() as u32;
             self.splitter.split(field, labels, last, paper.split_angle_deg.to_radians());
         }
+        self.parted.clone_from(labels);
         self.components.find(labels, width);
         self.fit_models(field, config);
         for (label, &component) in labels.iter_mut().zip(&self.components.of_cell) {
@@ -119,7 +126,7 @@ impl PaperChain {
             }
             let axes =
                 candidate_axes(field, cells, |c| self.components.of_cell[c] == component as u32);
-            let (fitted, _) = choose(&self.readings, &axes, &config.limits);
+            let (fitted, _) = choose(&self.readings, &axes, &config.limits, Candidates::All);
             self.models.push(match fitted {
                 Fitted::Plane(plane) => Some(plane.model()),
                 Fitted::Sphere { centre, radius_m, .. } => {
@@ -145,7 +152,8 @@ impl PaperChain {
                 self.moments[label as usize].add_point(field.point(cell), weight);
             }
         }
-        self.merger.pairs_of_labels(labels, field.lanes);
+        self.borders.find(labels, field.lanes, &mut self.border);
+        self.merger.pairs_of_labels(labels, field.lanes, &self.border);
         let flat = &self.flat;
         self.merger.merge(&mut self.moments, |label| flat[label as usize - 1]);
         for label in labels.iter_mut() {
@@ -154,13 +162,19 @@ impl PaperChain {
     }
 
     /// The stages as pictures, in field order.
-    pub fn images(&self) -> Vec<StageImage> {
+    pub fn images(&self, field: &Field) -> Vec<StageImage> {
         let bytes = |mask: &[u8]| mask.iter().map(|&m| 255 * m).collect();
+        let residuals = (0..self.residual.scaled.len())
+            .map(|cell| self.residual.scaled[cell] * field.sigma_m(cell) as f32);
+        let mut plain = Vec::new();
+        scale(&residuals.collect::<Vec<f32>>(), WHITE_M, &mut plain);
         vec![
-            StageImage::grey("residual_scaled", self.grey.clone()),
+            StageImage::grey("residual", plain),
+            StageImage::grey("scaled", self.grey.clone()),
             StageImage::grey("edges", bytes(&self.edges)),
-            StageImage::grey("edges_after_morphology", bytes(&self.mask)),
-            StageImage::labels("filled", self.filled.clone()),
+            StageImage::grey("morphology", bytes(&self.mask)),
+            StageImage::labels("fill", self.filled.clone()),
+            StageImage::labels("split", self.parted.clone()),
         ]
     }
 }

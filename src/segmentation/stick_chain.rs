@@ -16,6 +16,7 @@ pub(super) struct StickChain {
     sticks: Sticks,
     grower: Grower,
     grown: Vec<u32>,
+    settled: Vec<u32>,
     curves: CurveFinder,
     rivals: Vec<Rival>,
     competition: Competition,
@@ -55,7 +56,8 @@ impl StickChain {
         }
         self.competition.settle(field, &self.rivals, labels);
         self.merge(field, labels);
-        self.competition.settle(field, &self.rivals, labels);
+        self.competition.settle_again(field, &self.rivals, labels);
+        self.settled.clone_from(labels);
         observe(Stage::Split);
     }
 
@@ -70,7 +72,7 @@ impl StickChain {
                 self.moments[now as usize].add_point(point, weight);
             }
         }
-        self.merger.pairs_of_labels(labels, field.lanes);
+        self.merger.pairs_of_labels(labels, field.lanes, &self.competition.border);
         let models = &self.curves.models;
         self.merger.merge(&mut self.moments, |label| models[label as usize].is_none());
         for label in labels.iter_mut() {
@@ -89,6 +91,7 @@ impl StickChain {
         vec![
             StageImage::labels("sticks", sticks.collect()),
             StageImage::labels("grown", self.grown.clone()),
+            StageImage::labels("settled", self.settled.clone()),
         ]
     }
 }

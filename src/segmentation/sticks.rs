@@ -7,6 +7,7 @@
 
 use super::field::Field;
 use super::moments::Moments;
+use wide::f32x4;
 
 /// Most cells of a stick.
 pub(super) const LONGEST: usize = 16;
@@ -18,7 +19,12 @@ const NO_SLOPE: f32 = 2.5;
 /// from forming a line with any one cell beside it.
 const SLOPE: f32 = 6.0;
 /// Lanes that are worked on together, in registers.
-const BLOCK: usize = 8;
+const BLOCK: usize = 4;
+/// A value of each lane of a block.
+type Block = f32x4;
+/// Bits of a cost that give way to the length of its stick, less one: the least of such costs brings
+/// its length with it. What is left of the cost is good to one part in a million.
+const LENGTH_BITS: u32 = LONGEST as u32 - 1;
 /// No stick.
 pub(super) const NO_STICK: u32 = u32::MAX;
 
@@ -55,46 +61,69 @@ pub(super) struct Sticks {
     pub sticks: Vec<Stick>,
     /// Stick of each cell.
     pub of_cell: Vec<u32>,
-    /// Least cost of each lane up to each step.
-    cost: Vec<f32>,
-    /// Length of the stick that ends at each cell, if one does.
-    length: Vec<u8>,
+    /// Blocks of each step; the last is filled up with cells without a return.
+    blocks: usize,
+    inverse: Vec<Block>,
     /// One over the noise of the inverse range at each cell.
-    sharpness: Vec<f32>,
+    sharpness: Vec<Block>,
+    /// Least cost of each lane up to each step, from "nothing yet" on.
+    cost: Vec<Block>,
+    /// Length of the stick that ends at each cell, if one does.
+    length: Vec<[u8; BLOCK]>,
     tables: Vec<Table>,
 }
 
-/// What depends on the positions of a stick's steps alone, for sticks of one length.
+/// What depends on the positions of a stick's steps alone, for sticks of one length; the same for all
+/// lanes.
 #[derive(Clone, Copy, Debug, Default)]
 struct Table {
     /// Position of the farthest step before the last one.
-    back: f32,
-    mean: f32,
-    inverse_length: f32,
-    /// One over the scatter of the positions.
-    inverse_scatter: f32,
+    back: Block,
+    mean: Block,
+    inverse_length: Block,
+    /// One over the scatter of the positions, and its square.
+    inverse_scatter: Block,
+    square: Block,
+    price: Block,
+    /// The length, as [`LENGTH_BITS`] hold it.
+    length: Block,
 }
 
 impl Sticks {
     /// Cuts all lanes of a field.
     pub fn cut(&mut self, field: &Field) {
-        let (steps, lanes) = (field.steps, field.lanes);
-        self.sharpness.clear();
-        self.sharpness.extend(field.range.iter().map(|&r| {
-            let range = f64::from(r);
-            if r > 0.0 { (range * range / field.noise.sigma_m(range)) as f32 } else { 0.0 }
-        }));
+        self.load(field);
         self.cost.clear();
-        self.cost.resize((steps + 1) * lanes, 0.0);
-        self.length.clear();
-        self.length.resize(steps * lanes, 1);
-        for step in 0..steps {
+        self.cost.resize((field.steps + 1) * self.blocks, Block::ZERO);
+        self.length.resize(field.steps * self.blocks, [1; BLOCK]);
+        for step in 0..field.steps {
             self.make_tables(field, step);
-            for first in (0..lanes).step_by(BLOCK) {
-                self.extend(field, step, first);
+            for block in 0..self.blocks {
+                self.extend(step, block);
             }
         }
         self.collect(field);
+    }
+
+    /// Copies what the cut needs into blocks.
+    fn load(&mut self, field: &Field) {
+        self.blocks = field.lanes.div_ceil(BLOCK);
+        self.inverse.clear();
+        self.sharpness.clear();
+        for step in 0..field.steps {
+            let row = step * field.lanes..(step + 1) * field.lanes;
+            let (inverse, ranges) = (&field.inverse[row.clone()], &field.range[row.clone()]);
+            let cells = inverse.chunks(BLOCK).zip(ranges.chunks(BLOCK));
+            for ((inverse, ranges), gains) in cells.zip(field.gain[row].chunks(BLOCK)) {
+                let (mut block, mut sharpness) = ([0.0; BLOCK], [0.0; BLOCK]);
+                for i in 0..inverse.len() {
+                    block[i] = inverse[i];
+                    sharpness[i] = gains[i] * ranges[i];
+                }
+                self.inverse.push(Block::new(block));
+                self.sharpness.push(Block::new(sharpness));
+            }
+        }
     }
 
     fn make_tables(&mut self, field: &Field, step: usize) {
@@ -105,63 +134,53 @@ impl Sticks {
             sum += back;
             squares += back * back;
             let length = (k + 1) as f32;
-            let scatter = squares - sum * sum / length;
+            let scatter: f32 = squares - sum * sum / length;
+            let inverse_scatter = if k > 0 { 1.0 / scatter.max(1e-14) } else { 0.0 };
             self.tables.push(Table {
-                back,
-                mean: sum / length,
-                inverse_length: 1.0 / length,
-                inverse_scatter: if k > 0 { 1.0 / scatter.max(1e-14) } else { 0.0 },
+                back: Block::splat(back),
+                mean: Block::splat(sum / length),
+                inverse_length: Block::splat(1.0 / length),
+                inverse_scatter: Block::splat(inverse_scatter),
+                square: Block::splat(inverse_scatter * inverse_scatter),
+                price: Block::splat(if k == 0 { PRICE - NO_SLOPE } else { PRICE }),
+                length: Block::splat(f32::from_bits(k as u32)),
             });
         }
     }
 
-    /// The best stick that ends at `step`, for the lanes from `first` on.
-    fn extend(&mut self, field: &Field, step: usize, first: usize) {
-        let lanes = field.lanes;
-        let count = BLOCK.min(lanes - first);
-        let mut inverse = [0.0_f32; BLOCK];
-        let mut sharpness = [0.0_f32; BLOCK];
-        let here = step * lanes + first;
-        inverse[..count].copy_from_slice(&field.inverse[here..here + count]);
-        sharpness[..count].copy_from_slice(&self.sharpness[here..here + count]);
-        let mut best = [f32::INFINITY; BLOCK];
-        let mut length = [1.0_f32; BLOCK];
+    /// The best stick that ends at `step`, for the lanes of a block.
+    fn extend(&mut self, step: usize, block: usize) {
+        let here = step * self.blocks + block;
+        let (inverse, sharpness) = (self.inverse[here], self.sharpness[here]);
         // Relative to the scatter of the positions, what the prior of the slope is worth.
-        let doubt: [f32; BLOCK] = std::array::from_fn(|i| {
-            let slope = SLOPE * sharpness[i] * inverse[i];
-            1.0 / (slope * slope).max(1e-6)
-        });
-        let (mut a, mut b, mut c) = ([0.0_f32; BLOCK], [0.0_f32; BLOCK], [0.0_f32; BLOCK]);
+        let slope = sharpness * inverse * Block::splat(SLOPE);
+        let doubt = Block::ONE / (slope * slope).fast_max(Block::splat(1e-6));
+        let kept = Block::splat(f32::from_bits(!LENGTH_BITS));
+        let mut best = Block::splat(f32::INFINITY);
+        let (mut a, mut b, mut c) = (Block::ZERO, Block::ZERO, Block::ZERO);
         for (k, table) in self.tables.iter().enumerate() {
-            let at = (step - k) * lanes + first;
-            let mut f = [0.0_f32; BLOCK];
-            let mut before = [0.0_f32; BLOCK];
-            f[..count].copy_from_slice(&field.inverse[at..at + count]);
-            // The cost up to the step before is one row up in `cost`, whose row 0 is "nothing yet".
-            before[..count].copy_from_slice(&self.cost[at..at + count]);
-            for i in 0..BLOCK {
-                let d = (f[i] - inverse[i]) * sharpness[i];
-                a[i] += d;
-                b[i] += table.back * d;
-                c[i] += d * d;
-                let slope = b[i] - table.mean * a[i];
-                let told = table.inverse_scatter * (1.0 - doubt[i] * table.inverse_scatter);
-                let error =
-                    c[i] - a[i] * a[i] * table.inverse_length - slope * slope * told.max(0.0);
-                let price = if k == 0 { PRICE - NO_SLOPE } else { PRICE };
-                let cost = before[i] + error.max(0.0) + price;
-                let better = cost < best[i];
-                best[i] = if better { cost } else { best[i] };
-                length[i] = if better { (k + 1) as f32 } else { length[i] };
-            }
+            // The cost up to the step before stands one row up in `cost`, at the same index.
+            let at = here - k * self.blocks;
+            let d = (self.inverse[at] - inverse) * sharpness;
+            a += d;
+            b += table.back * d;
+            c += d * d;
+            let slope = b - table.mean * a;
+            let told = (table.inverse_scatter - doubt * table.square).fast_max(Block::ZERO);
+            let error = c - a * a * table.inverse_length - slope * slope * told;
+            let cost = self.cost[at] + (error + table.price);
+            best = best.fast_min((cost & kept) | table.length);
         }
-        for i in 0..count {
+        let (best, before) = (best.to_array(), self.cost[here].to_array());
+        let mut cost = [0.0; BLOCK];
+        for i in 0..BLOCK {
             // A cell without a return is a stick of its own, at no price.
-            let valid = sharpness[i] > 0.0;
-            let at = here + i;
-            self.cost[at + lanes] = if valid { best[i] } else { self.cost[at] };
-            self.length[at] = if valid { length[i] as u8 } else { 1 };
+            let valid = sharpness.to_array()[i] > 0.0;
+            cost[i] = if valid { best[i] } else { before[i] };
+            let length = (best[i].to_bits() & LENGTH_BITS) as u8 + 1;
+            self.length[here][i] = if valid { length } else { 1 };
         }
+        self.cost[here + self.blocks] = Block::new(cost);
     }
 
     /// Walks every lane back from its end and lists its sticks.
@@ -172,13 +191,13 @@ impl Sticks {
         self.of_cell.resize(steps * lanes, NO_STICK);
         for lane in 0..lanes {
             let begin = self.sticks.len();
+            let (block, place) = (lane / BLOCK, lane % BLOCK);
             let mut end = steps;
             while end > 0 {
                 let last = end - 1;
-                let first = end - usize::from(self.length[last * lanes + lane]);
+                let first = end - usize::from(self.length[last * self.blocks + block][place]);
                 if field.is_valid(last * lanes + lane) {
-                    let stick = self.measure(field, lane, first, last);
-                    self.sticks.push(stick);
+                    self.sticks.push(measure(field, lane, first, last));
                 }
                 end = first;
             }
@@ -190,46 +209,46 @@ impl Sticks {
             }
         }
     }
+}
 
-    /// The line of a stick and the two points that stand for it.
-    fn measure(&self, field: &Field, lane: usize, first: usize, last: usize) -> Stick {
-        let lanes = field.lanes;
-        let n = (last - first + 1) as f64;
-        let (mut t1, mut t2, mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0, 0.0, 0.0);
-        let anchor = f64::from(field.inverse[first * lanes + lane]);
-        let origin = f64::from(field.positions[first]);
-        for step in first..=last {
-            let t = f64::from(field.positions[step]) - origin;
-            let f = f64::from(field.inverse[step * lanes + lane]) - anchor;
-            t1 += t;
-            t2 += t * t;
-            f1 += f;
-            tf += t * f;
-            f2 += f * f;
-        }
-        let (mean_t, mean_f) = (t1 / n, f1 / n);
-        let scatter = (t2 - t1 * mean_t).max(0.0);
-        let product = tf - t1 * mean_f;
-        let slope = if last > first { product / scatter } else { 0.0 };
-        let reach = (scatter / n).sqrt();
-        let left = (f2 - f1 * mean_f - slope * product).max(0.0);
-        let middle = anchor + mean_f;
-        let ends = [-reach, reach].map(|t| {
-            let f = middle + slope * t;
-            let ray = ray_at(field, lane, first, last, origin + mean_t + t);
-            ray.map(|u| u / f)
-        });
-        let range = 1.0 / middle;
-        let variance = field.noise.variance(range);
-        Stick {
-            lane: lane as u32,
-            first: first as u32,
-            last: last as u32,
-            ends,
-            weight: 0.5 * n * range * range / variance,
-            n,
-            error: left * range.powi(4) / variance,
-        }
+/// The line of a stick and the two points that stand for it.
+fn measure(field: &Field, lane: usize, first: usize, last: usize) -> Stick {
+    let lanes = field.lanes;
+    let n = (last - first + 1) as f64;
+    let (mut t1, mut t2, mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let anchor = f64::from(field.inverse[first * lanes + lane]);
+    let origin = f64::from(field.positions[first]);
+    for step in first..=last {
+        let t = f64::from(field.positions[step]) - origin;
+        let f = f64::from(field.inverse[step * lanes + lane]) - anchor;
+        t1 += t;
+        t2 += t * t;
+        f1 += f;
+        tf += t * f;
+        f2 += f * f;
+    }
+    let (mean_t, mean_f) = (t1 / n, f1 / n);
+    let scatter = (t2 - t1 * mean_t).max(0.0);
+    let product = tf - t1 * mean_f;
+    let slope = if last > first { product / scatter } else { 0.0 };
+    let reach = (scatter / n).sqrt();
+    let left = (f2 - f1 * mean_f - slope * product).max(0.0);
+    let middle = anchor + mean_f;
+    let ends = [-reach, reach].map(|t| {
+        let f = middle + slope * t;
+        let ray = ray_at(field, lane, first, last, origin + mean_t + t);
+        ray.map(|u| u / f)
+    });
+    let range = 1.0 / middle;
+    let variance = field.noise.variance(range);
+    Stick {
+        lane: lane as u32,
+        first: first as u32,
+        last: last as u32,
+        ends,
+        weight: 0.5 * n * range * range / variance,
+        n,
+        error: left * (range * range) * (range * range) / variance,
     }
 }
 

@@ -7,7 +7,21 @@ use super::{Fitted, Model, PlaneFit, Readings, fit_plane};
 use nalgebra::{Matrix5, Point3, Unit, Vector3};
 
 /// Errors beyond this many standard deviations cost no more: the cost is that of an outlier.
-const CAP: f64 = 5.0;
+pub(in super::super) const CAP: f64 = 5.0;
+/// Excess of a plane's mean square error that imperfect surfaces and a wrong noise level explain.
+const IMPERFECT: f64 = 0.05;
+/// Share of a curved surface's mean square error on a plane below which it is none, and the greatest
+/// mean square error for which that holds: beyond it errors may be cut.
+const BENT: f64 = 0.3;
+const MOST_BENT: f64 = 4.0;
+
+/// Which curved shapes are tried beside the plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in super::super) enum Candidates {
+    All,
+    Sphere,
+    Cylinder,
+}
 
 /// The model that explains the readings at the least cost, and its mean square error.
 ///
@@ -17,6 +31,7 @@ pub(in super::super) fn choose(
     readings: &Readings,
     axes: &[Vector3<f64>],
     limits: &ShapeLimits,
+    candidates: Candidates,
 ) -> (Fitted, f64) {
     let mut best = (f64::INFINITY, Fitted::Other, f64::INFINITY);
     let mut offer = |fitted: Fitted, model: &Model| {
@@ -27,18 +42,22 @@ pub(in super::super) fn choose(
         }
     };
     let plane = fit_plane(readings);
-    let flat = plane.as_ref().is_some_and(|plane| plane_is_enough(readings, plane));
+    let flat = plane.as_ref().is_some_and(|plane| {
+        is_flat(capped_error(readings, &plane.model()), readings.len(), plane, limits)
+    });
     if let Some(plane) = plane {
         let model = plane.model();
         offer(Fitted::Plane(plane), &model);
     }
     if !flat {
-        if let Some(sphere) = fit_sphere(readings).filter(|s| sphere_is_seen(readings, s, limits)) {
+        let sphere = if candidates == Candidates::Cylinder { None } else { fit_sphere(readings) };
+        if let Some(sphere) = sphere.filter(|s| sphere_is_seen(readings, s, limits)) {
             let model = sphere.model();
             let SphereFit { centre, radius_m, covariance } = sphere;
             offer(Fitted::Sphere { centre: Point3::from(centre), radius_m, covariance }, &model);
         }
-        let cylinder = fit_cylinder(readings, axes);
+        let cylinder =
+            if candidates == Candidates::Sphere { None } else { fit_cylinder(readings, axes) };
         if let Some(cylinder) = cylinder.filter(|c| cylinder_is_seen(readings, c, limits)) {
             let model = cylinder.model();
             offer(bounded(readings, cylinder), &model);
@@ -61,10 +80,23 @@ fn capped_error(readings: &Readings, model: &Model) -> f64 {
         .sum()
 }
 
-/// Whether the plane's errors are those of its noise, so that no other shape needs to be tried.
-fn plane_is_enough(readings: &Readings, plane: &PlaneFit) -> bool {
-    let n = readings.len() as f64;
-    capped_error(readings, &plane.model()) < n + 3.0 * (2.0 * n).sqrt()
+/// Whether `count` errors on a plane, whose squares cut at [`CAP`]² sum up to `error`, are not those
+/// of a curved surface, so that no other shape needs to be tried.
+///
+/// They are not if they are noise. Nor if they are small for the region's size: a chord w of an arc
+/// of half angle α has a sagitta of w/2 · tan(α/2), of which a plane leaves 0.3 root mean square, and
+/// the arc that must be seen is given.
+pub(in super::super) fn is_flat(
+    error: f64,
+    count: usize,
+    plane: &PlaneFit,
+    limits: &ShapeLimits,
+) -> bool {
+    let n = count as f64;
+    let half_arc = (0.5 * limits.min_arc_deg).min(limits.min_cap_deg).to_radians();
+    let bend = 0.15 * plane.width_m * (0.5 * half_arc).tan() / plane.sigma_m;
+    let excess = (3.0 * (2.0 / n).sqrt()).max(IMPERFECT).max((BENT * bend * bend).min(MOST_BENT));
+    error < n * (1.0 + excess)
 }
 
 /// The angle at the centre between the middle of the cap and its border, both robust: the border is

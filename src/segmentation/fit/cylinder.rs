@@ -1,7 +1,9 @@
 //! The circular cylinder of any axis: starts from candidate axes, then Gauss-Newton on the distance.
 
 use super::plane::largest_positive;
-use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, Readings};
+use super::{
+    GATE, GATED_VARIANCE, LEAST_COSINE, Model, RIM_COSINE, Readings, START_READINGS, stride_until,
+};
 use nalgebra::{Matrix3, Matrix5, SVector, Vector3};
 
 const ROUNDS: usize = 10;
@@ -61,7 +63,9 @@ fn circle_across(
     let (e1, e2) = across(&axis);
     let mut normal = Matrix3::<f64>::zeros();
     let mut right = Vector3::<f64>::zeros();
-    for p in &readings.points {
+    let stride = readings.len().div_ceil(START_READINGS).max(1);
+    let points = || readings.points.iter().step_by(stride);
+    for p in points() {
         let d = p - centroid;
         let (a, b) = (e1.dot(&d), e2.dot(&d));
         let row = Vector3::new(2.0 * a, 2.0 * b, 1.0);
@@ -72,30 +76,40 @@ fn circle_across(
     let radius_m = (solution.z + solution.x * solution.x + solution.y * solution.y).sqrt();
     let foot = centroid + e1 * solution.x + e2 * solution.y;
     let model = Model::Cylinder { foot, axis, radius_m };
-    let mean_square = readings.points.iter().map(|p| model.distance(p).0.powi(2)).sum::<f64>()
-        / readings.len().max(1) as f64;
+    let mean_square = points().map(|p| model.distance(p).0.powi(2)).sum::<f64>();
     mean_square.is_finite().then_some(Start { axis, foot, radius_m, mean_square })
 }
 
 fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<CylinderFit> {
     let Start { mut axis, mut foot, mut radius_m, .. } = start;
     let mut fit = None;
+    // First without a gate, until it has converged or for half the rounds; then with it.
+    let mut gate = f64::INFINITY;
     for round in 0..ROUNDS {
-        let gate = if round < 4 { f64::INFINITY } else { GATE };
+        if round == ROUNDS / 2 {
+            gate = GATE;
+        }
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
         let mut normal = Matrix5::<f64>::zeros();
         let mut right = SVector::<f64, 5>::zeros();
         let (mut square, mut count) = (0.0, 0.0);
-        for i in 0..readings.len() {
+        for i in (0..readings.len()).step_by(stride_until(gate, readings)) {
             let d = readings.points[i] - foot;
             let height = axis.dot(&d);
             let radial = d - axis * height;
             let length = radial.norm().max(1e-9);
             let n = radial / length;
-            let cosine = n.dot(&readings.rays[i]).abs().max(LEAST_COSINE);
+            let cosine = n.dot(&readings.rays[i]).abs();
+            if gate.is_finite() && cosine < RIM_COSINE {
+                continue;
+            }
+            let cosine = cosine.max(LEAST_COSINE);
             let scale = 1.0 / (readings.sigmas[i] * cosine);
-            let e = (length - radius_m) * scale;
+            // An error along the ray also leads away from the surface that bends back from it.
+            let (sigma, lengthwise) = (readings.sigmas[i], axis.dot(&readings.rays[i]));
+            let across = (1.0 - lengthwise * lengthwise - cosine * cosine).max(0.0);
+            let e = (length - radius_m - 0.5 * sigma * sigma * across / length) * scale;
             if e.abs() > gate {
                 continue;
             }
@@ -121,6 +135,13 @@ fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<
         let expected = if gate.is_finite() { GATED_VARIANCE } else { 1.0 };
         let mean_square = left / ((count - 5.0_f64).max(1.0) * expected);
         fit = Some(inverse * mean_square.max(1.0));
+        // A step of a hundredth of its standard deviation.
+        if right.dot(&correction) < 1e-4 * mean_square.max(1.0) {
+            if gate.is_finite() {
+                break;
+            }
+            gate = GATE;
+        }
     }
     Some(CylinderFit { foot, axis, radius_m, covariance: fit? })
 }

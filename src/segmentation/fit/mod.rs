@@ -10,9 +10,9 @@ mod cylinder;
 mod plane;
 mod sphere;
 
-pub(super) use choose::choose;
+pub(super) use choose::{CAP, Candidates, choose, is_flat};
 pub(super) use cylinder::fit_cylinder;
-pub(super) use plane::{PlaneFit, fit_plane};
+pub(super) use plane::{PlaneFit, PlaneStart, PlaneSums, fit_plane};
 pub(super) use sphere::fit_sphere;
 
 use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, Unit, Vector3};
@@ -20,10 +20,21 @@ use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, Unit, Vector3};
 /// Least cosine of the angle of incidence that weights believe in: beyond 87° the error is no
 /// longer that of the range but of the ray's angle.
 const LEAST_COSINE: f64 = 0.05;
+/// Least cosine of incidence of the readings that settle a sphere or a cylinder: nearer the rim a
+/// reading may as well have missed, so those that did not are no fair sample.
+const RIM_COSINE: f64 = 0.3;
 /// Readings farther from the surface than this many standard deviations do not count in a fit.
 const GATE: f64 = 3.0;
 /// Standard deviation left inside the gate of ±3 of a normal distribution, squared.
 const GATED_VARIANCE: f64 = 0.9733;
+
+/// About how many readings, evenly taken, lead an iteration to where all of them finish it.
+const START_READINGS: usize = 250;
+
+/// Step through the readings in a round of an iteration: all of them count once it has a gate.
+fn stride_until(gate: f64, readings: &Readings) -> usize {
+    if gate.is_finite() { 1 } else { readings.len().div_ceil(START_READINGS).max(1) }
+}
 
 /// The readings of one region, gathered so that fits run over plain arrays.
 #[derive(Clone, Debug, Default)]

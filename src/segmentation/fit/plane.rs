@@ -1,13 +1,12 @@
 //! The plane: weighted least squares of the distance, with its covariance.
 
+use super::super::moments::Moments;
 use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, Readings};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 /// Standard deviation beyond which a rotation says nothing, in radians: what a region one line wide
 /// gets about that line.
 const FREE_ROTATION_RAD: f64 = 1.0;
-/// Rounds of reweighting; the second changes the result by less than a tenth of its deviation.
-const ROUNDS: usize = 3;
 /// Fewest core readings, and their least share, for which the border readings can be spared.
 const FEWEST_CORE: usize = 12;
 const LEAST_CORE_SHARE: f64 = 0.3;
@@ -19,10 +18,10 @@ pub(in super::super) struct PlaneFit {
     pub grid_from_plane: Isometry3<f64>,
     /// Offset along z, rotation about y, rotation about x.
     pub covariance: Matrix3<f64>,
-    /// Mean square of the errors of the readings used, in units of their noise.
-    pub mean_square: f64,
-    /// Number of readings used.
-    pub inliers: usize,
+    /// Lesser extent of the readings in metres.
+    pub width_m: f64,
+    /// Standard deviation of a reading, root mean square, in metres.
+    pub sigma_m: f64,
 }
 
 impl PlaneFit {
@@ -32,86 +31,205 @@ impl PlaneFit {
     }
 }
 
-/// Fits a plane; `None` for readings that span no line.
-///
-/// Weighted least squares in the local frame, whose unknowns are the offset and the two rotations:
-/// a point at local (x, y) moves by `δz - θ x + ψ y`. The inverse of the normal matrix is the
-/// covariance (domain notes 3.4, for unequal weights). Where the readings scatter more than their
-/// noise says, the covariance is scaled up by what they show, never down.
-pub(in super::super) fn fit_plane(readings: &Readings) -> Option<PlaneFit> {
-    let mut frame = principal_frame(readings)?;
-    let use_core = {
-        let core = readings.core.iter().filter(|&&core| core).count();
-        core >= FEWEST_CORE && core as f64 >= LEAST_CORE_SHARE * readings.len() as f64
-    };
-    let mut fit = None;
-    for round in 0..ROUNDS {
-        let gate = if round == 0 { f64::INFINITY } else { GATE };
-        let sums = accumulate(readings, &frame, use_core, gate);
-        let (normal, right, square, inliers) = sums;
-        if inliers < 3 {
-            return None;
-        }
-        // What no reading fixes stays where it is: a prior of one radian.
-        let prior = 1.0 / (FREE_ROTATION_RAD * FREE_ROTATION_RAD);
-        let information = normal + Matrix3::from_diagonal(&Vector3::new(0.0, prior, prior));
-        let inverse = information.cholesky()?.inverse();
-        let correction = inverse * right;
-        frame = moved(&frame, &correction);
-        let left = (square - right.dot(&correction)).max(0.0);
-        let freedom = (inliers as f64 - 3.0).max(1.0);
-        let expected = if round == 0 { 1.0 } else { GATED_VARIANCE };
-        let mean_square = left / (freedom * expected);
-        fit = Some((inverse * mean_square.max(1.0), mean_square, inliers));
-    }
-    let (covariance, mean_square, inliers) = fit?;
-    let (frame, covariance) = facing_the_sensor(frame, covariance);
-    let mut frame = frame;
-    // The centroid's foot on the final plane is the origin; in-plane shifts are below the noise.
-    let normal = frame.rotation * Vector3::z();
-    let centroid = readings.centroid();
-    let gap = normal.dot(&(centroid - frame.translation.vector));
-    let origin = centroid - normal * gap;
-    let shift = frame.inverse_transform_vector(&(origin - frame.translation.vector));
-    let covariance = moved_covariance(&covariance, &shift);
-    frame.translation = Translation3::from(origin);
-    Some(PlaneFit { grid_from_plane: frame, covariance, mean_square, inliers })
+/// Sums over the readings of one region, which its plane, frame and errors follow from.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in super::super) struct PlaneSums {
+    /// Each sum twice: weighted by `r² / σ²`, and plain. First those of the readings at the border,
+    /// then those of the core.
+    sums: [[[f64; 2]; 10]; 2],
+    counts: [usize; 2],
 }
 
-type Sums = (Matrix3<f64>, Vector3<f64>, f64, usize);
-
-/// Normal matrix, right side, sum of squares and count of the readings within the gate.
-fn accumulate(readings: &Readings, frame: &Isometry3<f64>, use_core: bool, gate: f64) -> Sums {
-    let rotation = frame.rotation.to_rotation_matrix();
-    let (ex, ey, ez) = (rotation * Vector3::x(), rotation * Vector3::y(), rotation * Vector3::z());
-    let origin = frame.translation.vector;
-    let (mut s, mut r) = ([0.0; 6], [0.0; 3]);
-    let (mut square, mut count) = (0.0, 0);
-    for i in 0..readings.len() {
-        if use_core && !readings.core[i] {
-            continue;
+impl PlaneSums {
+    /// Adds a reading of the given weight; `core` as in [`Readings`].
+    #[inline]
+    pub fn add(&mut self, [x, y, z]: [f64; 3], weight: f64, core: bool) {
+        let sums = &mut self.sums[usize::from(core)];
+        let terms = [x * x, x * y, x * z, y * y, y * z, z * z, x, y, z, 1.0];
+        for (sum, term) in sums.iter_mut().zip(terms) {
+            sum[0] += weight * term;
+            sum[1] += term;
         }
-        let d = readings.points[i] - origin;
-        let cosine = ez.dot(&readings.rays[i]).abs().max(LEAST_COSINE);
-        let scale = 1.0 / (readings.sigmas[i] * cosine);
-        let e = ez.dot(&d) * scale;
-        if e.abs() > gate {
-            continue;
-        }
-        let (jx, jy) = (-ex.dot(&d) * scale, ey.dot(&d) * scale);
-        for (sum, value) in
-            s.iter_mut().zip([scale * scale, scale * jx, scale * jy, jx * jx, jx * jy, jy * jy])
-        {
-            *sum += value;
-        }
-        for (sum, value) in r.iter_mut().zip([scale * e, jx * e, jy * e]) {
-            *sum += value;
-        }
-        square += e * e;
-        count += 1;
+        self.counts[usize::from(core)] += 1;
     }
-    let normal = Matrix3::new(s[0], s[1], s[2], s[1], s[3], s[4], s[2], s[4], s[5]);
-    (normal, Vector3::from(r), square, count)
+
+    pub fn len(&self) -> usize {
+        self.counts[0] + self.counts[1]
+    }
+
+    /// The sums without weights: `c` is the number of readings.
+    pub fn plain(&self) -> Moments {
+        self.moments(0, 1).plus(&self.moments(1, 1))
+    }
+
+    fn moments(&self, part: usize, kind: usize) -> Moments {
+        let sum = |k: usize| self.sums[part][k][kind];
+        Moments {
+            a: [sum(0), sum(1), sum(2), sum(3), sum(4), sum(5)],
+            b: [sum(6), sum(7), sum(8)],
+            c: sum(9),
+            n: self.counts[part] as f64,
+        }
+    }
+
+    /// Whether there are enough core readings to do without those at the border.
+    fn use_core(&self) -> bool {
+        let core = self.counts[1];
+        core >= FEWEST_CORE && core as f64 >= LEAST_CORE_SHARE * self.len() as f64
+    }
+}
+
+/// A plane through all readings, to measure their errors by.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) struct PlaneStart {
+    frame: Isometry3<f64>,
+    centroid: Vector3<f64>,
+    normal: [f32; 3],
+    offset_m: f32,
+    /// Whether readings at the border are left out.
+    use_core: bool,
+    /// What the plane is fitted to.
+    moments: Moments,
+    width_m: f64,
+    sigma_m: f64,
+}
+
+impl PlaneStart {
+    /// `None` for readings that span no line.
+    pub fn of(sums: &PlaneSums) -> Option<Self> {
+        let plain = sums.plain();
+        if sums.len() < 3 {
+            return None;
+        }
+        let centroid = Vector3::from(plain.b) / plain.c;
+        let square = symmetric(&plain.a) / plain.c;
+        let scatter = square - centroid * centroid.transpose();
+        let [border, core] = [sums.moments(0, 0), sums.moments(1, 0)];
+        let all = core.plus(&border);
+        let noise = square.trace() * plain.c / all.c;
+        let (frame, middle) = principal_frame(&centroid, &scatter, noise)?;
+        let use_core = sums.use_core();
+        let moments = if use_core { core } else { all };
+        let frame = solve(&frame, &moments)?.frame;
+        let normal = frame.rotation * Vector3::z();
+        let offset_m = normal.dot(&frame.translation.vector);
+        Some(Self {
+            frame,
+            centroid,
+            normal: [normal.x as f32, normal.y as f32, normal.z as f32],
+            offset_m: offset_m as f32,
+            use_core,
+            moments,
+            width_m: (12.0 * middle).sqrt(),
+            sigma_m: noise.sqrt(),
+        })
+    }
+
+    /// Error of a reading in standard deviations. One that is far off, or that meets the plane at a
+    /// more grazing angle than its weight allows for, is taken out of the fit, or gets its weight.
+    #[inline]
+    pub fn settle(&mut self, p: [f32; 3], range: f32, gain: f32, core: bool) -> f32 {
+        let [x, y, z] = self.normal;
+        let distance = x * p[0] + y * p[1] + z * p[2] - self.offset_m;
+        // `gain / offset` is one over the deviation of the range times the cosine of incidence.
+        let (offset, least) = (self.offset_m.abs(), LEAST_COSINE as f32 * range);
+        let error = distance * gain / offset.max(least);
+        let outside = error.abs() > GATE as f32;
+        if (outside || offset < least) && (core || !self.use_core) {
+            let point = p.map(f64::from);
+            let weight = f64::from(gain) * f64::from(gain);
+            self.moments.sub_point(point, weight);
+            if !outside {
+                let share = f64::from(offset / least);
+                self.moments.add_point(point, weight * share * share);
+            }
+        }
+        error
+    }
+
+    /// The plane of the readings that are left.
+    pub fn finish(self) -> Option<PlaneFit> {
+        let inliers = self.moments.n.round();
+        if inliers < 3.0 {
+            return None;
+        }
+        let Solution { frame, covariance, square } = solve(&self.frame, &self.moments)?;
+        let mean_square = square / ((inliers - 3.0).max(1.0) * GATED_VARIANCE);
+        let (mut frame, covariance) = facing_the_sensor(frame, covariance * mean_square.max(1.0));
+        // The centroid's foot on the plane is the origin.
+        let normal = frame.rotation * Vector3::z();
+        let gap = normal.dot(&(self.centroid - frame.translation.vector));
+        let origin = self.centroid - normal * gap;
+        let shift = frame.inverse_transform_vector(&(origin - frame.translation.vector));
+        let covariance = moved_covariance(&covariance, &shift);
+        frame.translation = Translation3::from(origin);
+        let (width_m, sigma_m) = (self.width_m, self.sigma_m);
+        Some(PlaneFit { grid_from_plane: frame, covariance, width_m, sigma_m })
+    }
+}
+
+/// Fits a plane; `None` for readings that span no line.
+pub(in super::super) fn fit_plane(readings: &Readings) -> Option<PlaneFit> {
+    let mut sums = PlaneSums::default();
+    let ranges = |i: usize| readings.points[i].dot(&readings.rays[i]);
+    for i in 0..readings.len() {
+        let gain = ranges(i) / readings.sigmas[i];
+        sums.add(readings.points[i].into(), gain * gain, readings.core[i]);
+    }
+    let mut start = PlaneStart::of(&sums)?;
+    for i in 0..readings.len() {
+        let p = readings.points[i].map(|v| v as f32).into();
+        let range = ranges(i);
+        start.settle(p, range as f32, (range / readings.sigmas[i]) as f32, readings.core[i]);
+    }
+    start.finish()
+}
+
+struct Solution {
+    frame: Isometry3<f64>,
+    covariance: Matrix3<f64>,
+    /// Sum of the squared errors that are left.
+    square: f64,
+}
+
+/// Weighted least squares in the local frame, whose unknowns are the offset and the two rotations: a
+/// point at local (x, y) moves by `δz - θ x + ψ y`.
+///
+/// A reading errs across the plane by its range noise times the cosine of incidence, which is the
+/// plane's offset over the range; so its weight is that of [`Moments`] over the square of the
+/// offset, and the sums need not be taken anew for each plane. The inverse of the normal matrix is
+/// the covariance (domain notes 3.4, for unequal weights). Where the readings scatter more than
+/// their noise says, it is scaled up by what they show, never down.
+fn solve(frame: &Isometry3<f64>, moments: &Moments) -> Option<Solution> {
+    let rotation = frame.rotation.to_rotation_matrix().into_inner();
+    let origin = frame.translation.vector;
+    let first = Vector3::from(moments.b);
+    let shifted = symmetric(&moments.a) - first * origin.transpose() - origin * first.transpose()
+        + origin * origin.transpose() * moments.c;
+    let l = rotation.transpose() * shifted * rotation;
+    let b = rotation.transpose() * (first - origin * moments.c);
+    let offset = rotation.column(2).dot(&origin).abs().max(LEAST_COSINE * origin.norm());
+    let scale = 1.0 / (offset * offset);
+    let normal = Matrix3::new(
+        moments.c, -b.x, b.y, //
+        -b.x, l.m11, -l.m12, //
+        b.y, -l.m12, l.m22,
+    ) * scale;
+    let right = Vector3::new(b.z, -l.m13, l.m23) * scale;
+    // What no reading fixes stays where it is: a prior of one radian.
+    let prior = 1.0 / (FREE_ROTATION_RAD * FREE_ROTATION_RAD);
+    let information = normal + Matrix3::from_diagonal(&Vector3::new(0.0, prior, prior));
+    let covariance = information.cholesky()?.inverse();
+    let correction = covariance * right;
+    Some(Solution {
+        frame: moved(frame, &correction),
+        covariance,
+        square: (l.m33 * scale - right.dot(&correction)).max(0.0),
+    })
+}
+
+fn symmetric([xx, xy, xz, yy, yz, zz]: &[f64; 6]) -> Matrix3<f64> {
+    Matrix3::new(*xx, *xy, *xz, *xy, *yy, *yz, *xz, *yz, *zz)
 }
 
 /// The same plane with its z axis towards the origin: half a turn about x where it looks away.
@@ -140,21 +258,20 @@ fn moved_covariance(covariance: &Matrix3<f64>, shift: &Vector3<f64>) -> Matrix3<
     jacobian * covariance * jacobian.transpose()
 }
 
-/// The principal frame of the points, z towards the sensor.
+/// The principal frame of the points, z towards the sensor, and their variance along y.
 ///
 /// Where the points lie on one line within their noise, all planes through it fit. Then the one
 /// that faces the sensor most is taken: the eigenvectors across the line are noise, and a plane
 /// along the rays would explain any scatter.
-fn principal_frame(readings: &Readings) -> Option<Isometry3<f64>> {
-    if readings.len() < 3 {
-        return None;
-    }
-    let centroid = readings.centroid();
-    let eigen = readings.covariance(&centroid).symmetric_eigen();
+fn principal_frame(
+    centroid: &Vector3<f64>,
+    scatter: &Matrix3<f64>,
+    noise: f64,
+) -> Option<(Isometry3<f64>, f64)> {
+    let eigen = scatter.symmetric_eigen();
     let mut order = [0, 1, 2];
     order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]).then(a.cmp(&b)));
     let [greatest, middle, _] = order.map(|i| eigen.eigenvalues[i].max(0.0));
-    let noise = readings.sigmas.iter().map(|s| s * s).sum::<f64>() / readings.len() as f64;
     // One centimetre in ten kilometres: points that are all the same.
     if greatest.is_nan() || greatest <= 1e-12 * centroid.norm_squared() {
         return None;
@@ -173,10 +290,11 @@ fn principal_frame(readings: &Readings) -> Option<Isometry3<f64>> {
     let ez = if ez.dot(&towards) < 0.0 { -ez } else { ez };
     let rotation =
         Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[ex, ez.cross(&ex), ez]));
-    Some(Isometry3::from_parts(
-        Translation3::from(centroid),
+    let frame = Isometry3::from_parts(
+        Translation3::from(*centroid),
         UnitQuaternion::from_rotation_matrix(&rotation),
-    ))
+    );
+    Some((frame, middle))
 }
 
 /// The vector or its opposite: the one whose largest component is positive.

@@ -1,6 +1,6 @@
 //! The sphere: an algebraic start, then Gauss-Newton on the distance.
 
-use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, Readings};
+use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, RIM_COSINE, Readings, stride_until};
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 const ROUNDS: usize = 8;
@@ -23,18 +23,29 @@ pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
     let centroid = readings.centroid();
     let (mut centre, mut radius_m) = algebraic(readings, &centroid)?;
     let mut fit = None;
+    // First without a gate, until it has converged or for half the rounds; then with it.
+    let mut gate = f64::INFINITY;
     for round in 0..ROUNDS {
-        let gate = if round < 3 { f64::INFINITY } else { GATE };
+        if round == ROUNDS / 2 {
+            gate = GATE;
+        }
         let mut normal = Matrix4::<f64>::zeros();
         let mut right = Vector4::<f64>::zeros();
         let (mut square, mut count) = (0.0, 0.0);
-        for i in 0..readings.len() {
+        for i in (0..readings.len()).step_by(stride_until(gate, readings)) {
             let radial = readings.points[i] - centre;
             let length = radial.norm().max(1e-9);
             let n = radial / length;
-            let cosine = n.dot(&readings.rays[i]).abs().max(LEAST_COSINE);
+            let cosine = n.dot(&readings.rays[i]).abs();
+            if gate.is_finite() && cosine < RIM_COSINE {
+                continue;
+            }
+            let cosine = cosine.max(LEAST_COSINE);
             let scale = 1.0 / (readings.sigmas[i] * cosine);
-            let e = (length - radius_m) * scale;
+            // An error along the ray also leads away from the surface that bends back from it.
+            let sigma = readings.sigmas[i];
+            let bend = 0.5 * sigma * sigma * (1.0 - cosine * cosine) / length;
+            let e = (length - radius_m - bend) * scale;
             if e.abs() > gate {
                 continue;
             }
@@ -56,6 +67,13 @@ pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
         let expected = if gate.is_finite() { GATED_VARIANCE } else { 1.0 };
         let mean_square = left / ((count - 4.0_f64).max(1.0) * expected);
         fit = Some(inverse * mean_square.max(1.0));
+        // A step of a hundredth of its standard deviation.
+        if right.dot(&correction) < 1e-4 * mean_square.max(1.0) {
+            if gate.is_finite() {
+                break;
+            }
+            gate = GATE;
+        }
     }
     Some(SphereFit { centre, radius_m, covariance: fit? })
 }
