@@ -32,7 +32,9 @@ pub mod link;
 pub mod record;
 
 pub mod config;
-pub mod driver;
+
 pub mod files;
+
+pub mod driver;
 
 pub mod cli;

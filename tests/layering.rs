@@ -13,7 +13,9 @@ const ROWS: &[&[&str]] = &[
     &["exploration", "victims"],
     &["mission"],
     &["link", "record", "export"],
-    &["driver", "files", "config"],
+    &["config"],
+    &["files"],
+    &["driver"],
     &["cli"],
 ];
 
