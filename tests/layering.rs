@@ -13,7 +13,10 @@ const ROWS: &[&[&str]] = &[
     &["exploration", "victims"],
     &["mission"],
     &["link", "record", "export"],
-    &["driver", "files", "config"],
+    &["config"],
+    // Files are read with `config`, and a driver that runs a scenario takes what was read.
+    &["files"],
+    &["driver"],
     &["cli"],
 ];
 
