@@ -14,6 +14,7 @@ const ROWS: &[&[&str]] = &[
     &["mission"],
     &["link", "record", "export"],
     &["config"],
+    // Files are read with `config`, and a driver that runs a scenario takes what was read.
     &["files"],
     &["driver"],
     &["cli"],

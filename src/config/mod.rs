@@ -169,10 +169,10 @@ fn deserialize_all<T: DeserializeOwned>(
         if missing.is_some_and(|key| removed.iter().any(|gone| gone == key)) {
             break;
         }
-        mistakes.push(Mistake {
-            line: line_of(text, error.span()),
-            message: with_nearest_key(error.message()),
-        });
+        let message = with_nearest_key(error.message());
+        // Nor is one that stands there misspelt.
+        removed.extend(quoted_after(&message, "did you mean ").map(str::to_owned));
+        mistakes.push(Mistake { line: line_of(text, error.span()), message });
         let Some(span) = error.span() else { break };
         if missing.is_some() {
             break;
@@ -330,6 +330,11 @@ mod tests {
         );
         assert_eq!(lines("").len(), 1);
         assert!(lines("")[0].contains("missing field `seed`"));
+    }
+
+    #[test]
+    fn a_misspelt_key_is_not_also_missing() {
+        assert_eq!(lines("sed = 1\n"), ["f.toml:1: unknown key `sed`, did you mean `seed`?"]);
     }
 
     #[test]

@@ -60,6 +60,8 @@ pub struct Live<'a, W: Write, F> {
     watch: F,
     now: Arrival,
     line: Option<Line>,
+    /// Links lost in a row without a robot in service between.
+    losses: u32,
 }
 
 /// The link while it is up.
@@ -97,7 +99,7 @@ impl<'a, W: Write, F: FnMut(&Agent, Arrival)> Live<'a, W, F> {
         let backoff = Backoff { attempts: u32::MAX, ..backoff };
         let address = address.to_owned();
         let now = Arrival::default();
-        Self { host, clock, address, backoff, inputs, watch, now, line: None }
+        Self { host, clock, address, backoff, inputs, watch, now, line: None, losses: 0 }
     }
 
     /// Runs the mission over `link` to its end.
@@ -120,6 +122,7 @@ impl<'a, W: Write, F: FnMut(&Agent, Arrival)> Live<'a, W, F> {
         while self.host.outcome().is_none() {
             let Some(reason) = self.serve().await? else { break };
             warn!(%reason, "link lost");
+            self.losses = if self.host.agent().is_in_service() { 1 } else { self.losses + 1 };
             self.close().await;
             // The link is down: there is nothing to send on, whatever the agent says.
             let _ = self.feed(&Event::Disconnected(reason), self.clock.now()).await?;
@@ -195,7 +198,10 @@ impl<'a, W: Write, F: FnMut(&Agent, Arrival)> Live<'a, W, F> {
     /// Seeks a lost link until it is there again or the agent has given up.
     async fn seek(&mut self) -> Result<(), LiveError> {
         let (address, backoff, clock) = (self.address.clone(), self.backoff.clone(), self.clock);
+        // A server that takes connections only to drop them is not asked again at once.
+        let pause = backoff.wait_before(self.losses.saturating_add(1));
         let link = async move {
+            sleep(pause).await;
             loop {
                 match connect(&address, &backoff, clock).await {
                     Ok(link) => return link,

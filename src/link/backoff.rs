@@ -36,7 +36,7 @@ impl Backoff {
     }
 
     /// The wait before an attempt, counted from 1; the first needs none.
-    pub(super) fn wait_before(&self, attempt: u32) -> Duration {
+    pub fn wait_before(&self, attempt: u32) -> Duration {
         let Some(doublings) = attempt.checked_sub(2) else { return Duration::ZERO };
         let factor = 1_u64.checked_shl(doublings).unwrap_or(u64::MAX);
         Duration::from_millis(self.first_wait_ms.saturating_mul(factor).min(self.max_wait_ms))

@@ -58,6 +58,8 @@ pub struct Agent {
     kept: Option<Box<Running>>,
     /// Whether the map frame is the level's own, so that a place in it can be named to the server.
     map_is_level: bool,
+    /// Whether a new robot is to be asked for at the start: where the old one was, none came.
+    from_start: bool,
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -93,6 +95,7 @@ impl Agent {
             lost: None,
             kept: None,
             map_is_level: false,
+            from_start: false,
         }
     }
 
@@ -193,6 +196,11 @@ impl Agent {
         }
     }
 
+    /// Whether a robot is in service now.
+    pub fn is_in_service(&self) -> bool {
+        matches!(self.phase, Phase::Running(_))
+    }
+
     /// Acts of an operator so far.
     pub fn operator_acts(&self) -> usize {
         self.operator_acts
@@ -230,7 +238,7 @@ impl Agent {
         }
         let placement = match &self.kept {
             // The old robot is gone with its connection: a new one takes its place.
-            Some(running) if self.map_is_level => {
+            Some(running) if self.map_is_level && !self.from_start => {
                 let pose = running.belief().world_from_robot();
                 let place = placeable(&pose);
                 self.journal.note(
@@ -244,7 +252,7 @@ impl Agent {
                 Placement::At(place)
             }
             Some(_) => {
-                self.journal.note(now, Level::Warn, "connected again; going back to the start");
+                self.journal.note(now, Level::Warn, "asking for a robot at the start");
                 self.placement.clone()
             }
             None => {
@@ -287,8 +295,13 @@ impl Agent {
         None
     }
 
+    /// How long a lost link is sought: where there never was a robot, no longer than one is waited for.
     fn reconnect(&self) -> Span {
-        Span::from_seconds(self.config.mission.reconnect_s)
+        let patience_s = self.config.mission.reconnect_s;
+        Span::from_seconds(match self.kept {
+            Some(_) => patience_s,
+            None => patience_s.min(self.config.opening.sta_timeout_s),
+        })
     }
 
     /// The outcome once a lost link was sought long enough.
@@ -340,6 +353,14 @@ impl Agent {
             match step {
                 OpeningStep::Send(command) => out.push(command),
                 OpeningStep::Warn(text) => self.warn(now, text),
+                OpeningStep::Failed(reason) if self.kept.is_some() => {
+                    if self.from_start || !self.map_is_level {
+                        return Some(Outcome::LinkLost(format!("no robot came back: {reason}")));
+                    }
+                    self.warn(now, reason);
+                    self.from_start = true;
+                    self.connected(now);
+                }
                 OpeningStep::Failed(reason) => return Some(Outcome::NoRobot(reason)),
                 OpeningStep::Open => self.open(now, out),
             }
@@ -371,7 +392,12 @@ impl Agent {
         desk.info(format!("in service: {} on {:?}", rig.class, rig.dialect));
         let running = match self.kept.take() {
             Some(mut running) => {
-                let put = if self.map_is_level { Put::Back } else { Put::AtStart };
+                let put = match placed {
+                    Some(pose) if self.from_start => Put::At(level_start(pose)),
+                    Some(_) if self.map_is_level => Put::Back,
+                    _ => Put::AtStart,
+                };
+                self.from_start = false;
                 running.resume(rig, put, &mut desk);
                 running
             }
@@ -442,6 +468,11 @@ impl Agent {
         let running = match std::mem::replace(&mut self.phase, Phase::Waiting) {
             Phase::Running(mut running) => {
                 running.ledger.spend(now, Pastime::Think);
+                if self.config.mission.observe {
+                    let out = &mut Vec::new();
+                    let (config, journal) = (&self.config, &mut self.journal);
+                    running.finish_observed_sweep(&mut Desk { config, journal, out, now });
+                }
                 running.refresh_grid(now);
                 if !self.config.mission.observe {
                     actions.push(Action::Send(running.rig.stop_command()));

@@ -84,6 +84,8 @@ pub struct Opening {
     questions: VecDeque<Command>,
     sensor_types: Vec<String>,
     pose: Option<WirePose>,
+    /// Attitude of an observed robot at its start, as its inertial unit gives it.
+    stands: [f64; 3],
     rig: Option<RigBuilder>,
 }
 
@@ -108,12 +110,13 @@ impl Opening {
             questions: VecDeque::new(),
             sensor_types: Vec::new(),
             pose: None,
+            stands: [0.0; 3],
             rig: None,
         }
     }
 
     /// An opening that asks nothing: for recordings of others, whose lines tell what they tell. It
-    /// opens with the first STA.
+    /// opens with the first STA; answers to GEO and CONF that come before it are learnt from.
     pub fn observing(class_name: &str) -> Self {
         let config = OpeningConfig { listen_s: 0.0, ..OpeningConfig::default() };
         let mut opening = Self::new(config, class_name, "", Placement::FirstStart, Arrival(0));
@@ -158,6 +161,10 @@ impl Opening {
         {
             self.sensor_types.push(name.to_owned());
         }
+        if self.stage == Stage::Observing && matches!(message, Message::Geo(_) | Message::Conf(_)) {
+            let class = &self.class_name;
+            self.rig.get_or_insert_with(|| RigBuilder::new(Dialect::default(), class));
+        }
         if let Some(rig) = &mut self.rig {
             rig.learn(message);
         }
@@ -184,7 +191,17 @@ impl Opening {
                 self.level = Some(greeting.level.clone());
                 Vec::new()
             }
+            (Stage::Observing, Message::Sen(Sen::Ins(ins))) => {
+                self.stands = ins.pose.orientation;
+                Vec::new()
+            }
             (Stage::Observing, Message::Sta(_)) => {
+                let rig = self.rig.take().unwrap_or_else(|| {
+                    RigBuilder::new(dialect.unwrap_or_default(), &self.class_name)
+                });
+                // Mountings were measured in the world, where the robot stood at its start.
+                let rig = rig.speaking(dialect.unwrap_or_default()).standing_at(self.stands);
+                self.rig = Some(rig);
                 self.stage = Stage::Open;
                 vec![OpeningStep::Open]
             }

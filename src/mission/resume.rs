@@ -6,7 +6,7 @@ use super::running::{Activity, Desk, Look, Running, shape_of};
 use crate::acquisition::Acquisition;
 use crate::navigation::DriveCommand;
 use crate::protocol::WirePose;
-use crate::robot::{Rig, wire_location, wire_orientation};
+use crate::robot::{Rig, WheelCount, wire_location, wire_orientation};
 use crate::time::Stamp;
 use nalgebra::{Isometry3, Point3};
 
@@ -15,11 +15,13 @@ use nalgebra::{Isometry3, Point3};
 const LIFT_M: f64 = 0.05;
 
 /// Where the new robot stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Put {
     /// Where the old one was believed to be.
     Back,
-    /// Where the old one began: the server knows no other place by name.
+    /// At this pose of the map, which is the level's own frame.
+    At(Isometry3<f64>),
+    /// Where the old one began: the server was asked for a start by its name.
     AtStart,
 }
 
@@ -28,9 +30,15 @@ pub(super) fn placeable(world_from_robot: &Isometry3<f64>) -> WirePose {
     let mut place = Point3::from(world_from_robot.translation.vector);
     place.z += LIFT_M;
     WirePose {
-        location: wire_location(&place),
-        orientation: wire_orientation(&world_from_robot.rotation),
+        location: wire_location(&place).map(to_wire_decimals),
+        orientation: wire_orientation(&world_from_robot.rotation).map(to_wire_decimals),
     }
+}
+
+/// Four decimals, as servers write them, and no minus zero.
+fn to_wire_decimals(value: f64) -> f64 {
+    let rounded = (value * 1e4).round() / 1e4;
+    if rounded == 0.0 { 0.0 } else { rounded }
 }
 
 impl Running {
@@ -52,6 +60,7 @@ impl Running {
         self.command = DriveCommand::STOP;
         self.commanded = None;
         self.wheels = None;
+        self.wheel_count = WheelCount::default();
         self.last_wheels = super::motion::PlanarPose::default();
         // The clock of another server may be behind.
         self.latest_stamp = Stamp::default();
@@ -77,6 +86,7 @@ impl Running {
         let drift_m = 0.05 + DRIFT_PER_METRE * self.belief.path_m();
         match put {
             Put::Back => (self.belief.world_from_robot(), drift_m.min(0.3), 0.02),
+            Put::At(pose) => (pose, drift_m.min(0.3), 0.02),
             Put::AtStart => (*self.belief.start(), 0.05, 0.02),
         }
     }

@@ -5,6 +5,7 @@ use super::config::AgentConfig;
 use super::journal::{Journal, Level};
 use super::ledger::{Ledger, Pastime};
 use super::motion::{BodyAttitude, PlanarPose};
+use super::observe::ObservedSweep;
 use super::operator::{DriveLease, Mode};
 use super::pilot::Pilot;
 use super::sign_test::SignTest;
@@ -132,7 +133,9 @@ pub struct Running {
     pub(super) latest_stamp: Stamp,
     first_scan_due: bool,
     pub(super) planar_lines: usize,
-    wheel_count: WheelCount,
+    pub(super) wheel_count: WheelCount,
+    /// The sweep that is being watched in a recording of somebody else.
+    pub(super) observed: ObservedSweep,
 }
 
 /// How a cycle ended for the mission as a whole.
@@ -189,6 +192,7 @@ impl Running {
             first_scan_due: true,
             planar_lines: 0,
             wheel_count: WheelCount::default(),
+            observed: ObservedSweep::default(),
             acquisition,
             belief,
             shape,
@@ -319,7 +323,7 @@ impl Running {
             Sen::Inu(message) => self.take_attitude(&self.rig.inu(message)),
             Sen::RangeScanner(message) => {
                 match self.rig.laser_line(message, Some(self.latest_stamp)) {
-                    Ok(line) if desk.config.mission.observe => self.observed_line(&line),
+                    Ok(line) if desk.config.mission.observe => self.observed_line(&line, desk),
                     Ok(line) => self.line(&line, desk),
                     Err(error) => desk.warn(format!("laser line not used: {error}")),
                 }

@@ -78,6 +78,14 @@ impl RigBuilder {
         self
     }
 
+    /// The same for a server of another dialect: which one it is may be known only after its first
+    /// answers.
+    #[must_use]
+    pub fn speaking(mut self, dialect: Dialect) -> Self {
+        self.dialect = dialect;
+        self
+    }
+
     /// Everything to ask of the server, in order. It must be asked one at a time: UT2004 keeps a
     /// single request of each kind per tick.
     pub fn queries(&self) -> Vec<Command> {

@@ -1,10 +1,9 @@
 //! The program as its user meets it: exit codes, one clear line for bad input, files.
 
-use assert_cmd::Command;
 use std::fs;
 use std::net::TcpListener;
 use std::path::Path;
-use std::process::Output;
+use std::process::{Command, Output};
 use tempfile::TempDir;
 
 /// Agent settings under which the first sweep comes early and a silent server is given up soon.
@@ -12,7 +11,7 @@ const QUICK: &str = "[mission]\nfine_sweep_at_start = false\n\
                      [opening]\ngreeting_timeout_s = 0.3\nsta_timeout_s = 0.5\n";
 
 fn usar(arguments: &[&str]) -> Output {
-    Command::cargo_bin("usar").unwrap().args(arguments).output().unwrap()
+    Command::new(assert_cmd::cargo::cargo_bin!("usar")).args(arguments).output().unwrap()
 }
 
 fn stderr(output: &Output) -> String {
