@@ -306,11 +306,7 @@ mod tests {
         (commands, observations)
     }
 
-    fn track(
-        fit: &ServoFit,
-        commands: &[(Stamp, Demand)],
-        readings: &[Observation],
-    ) -> AxisTrack {
+    fn track(fit: &ServoFit, commands: &[(Stamp, Demand)], readings: &[Observation]) -> AxisTrack {
         let mut track = AxisTrack::new(Some(fit.law), None, 0.0);
         for &(stamp, demand) in commands {
             track.demand(stamp + fit.delay, demand);
