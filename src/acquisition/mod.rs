@@ -15,6 +15,7 @@ mod flow;
 mod guard;
 mod identify;
 mod park;
+mod policy;
 mod profile;
 mod scan;
 mod servo;
@@ -32,6 +33,7 @@ pub use flow::{Flow, FlowDrive};
 pub use guard::{GuardConfig, GuardTilt, guard_tilt};
 pub use identify::{Observation, ServoFit};
 pub use park::ParkState;
+pub use policy::{Interest, Offer, RING_M};
 pub use profile::{Clipped, FanConfig, Profile, QUARTER_DEGREE_RAD, QuarterDegrees};
 pub use scan::{Scan, ScanErrors, TimeBudget};
 pub use servo::{HINGE_GAP_RAD, ServoLaw, ServoState};
@@ -133,7 +135,8 @@ impl SweepRequest {
 
     /// The paper's full sweep with motion and laser overlapped.
     pub fn model() -> Self {
-        Self { profile: Profile::paper_full(), pan_rad: 0.0, mode: SweepMode::Flowing }
+        let profile = Profile { name: "model".into(), ..Profile::paper_full() };
+        Self { profile, pan_rad: 0.0, mode: SweepMode::Flowing }
     }
 
     /// The paper's real robot: 0.05 rad/s, 70 rows in 19.2 s.
@@ -271,6 +274,26 @@ impl Acquisition {
                 actions
             }
         }
+    }
+
+    /// The sweep that shows most of `interest` per second, in motion if `flowing`; `None` for a laser
+    /// that cannot tilt.
+    pub fn choose(
+        &self,
+        view: &GroundView<'_>,
+        interest: &Interest,
+        flowing: bool,
+    ) -> Option<Offer> {
+        let pace = policy::Pace::of(&self.control, &self.config, flowing && self.is_calibrated());
+        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
+        policy::choose(view, &self.config.fan, interest, &pace, tilt_rad)
+    }
+
+    /// How long a sweep over `profile` should take from where the tilt is, in seconds.
+    pub fn seconds_for(&self, profile: &Profile, flowing: bool) -> f64 {
+        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
+        let profile = profile.clone().from_nearer_end(tilt_rad);
+        policy::Pace::of(&self.control, &self.config, flowing).seconds(&profile, tilt_rad)
     }
 
     /// Ends a sweep that is under way and hands over what there is.

@@ -69,6 +69,13 @@ pub struct TimeBudget {
     pub idle_s: f64,
 }
 
+impl std::fmt::Display for TimeBudget {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { moving_s, servo_s, laser_s, idle_s } = self;
+        write!(f, "moving {moving_s:.1}, servo {servo_s:.1}, laser {laser_s:.1}, idle {idle_s:.1}")
+    }
+}
+
 impl TimeBudget {
     /// All of it.
     pub fn total_s(&self) -> f64 {

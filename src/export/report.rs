@@ -87,6 +87,25 @@ pub struct SweepReport {
     pub rows: usize,
     /// Seconds from the first tilt command to the last filed line.
     pub seconds: f64,
+    /// Where those went.
+    #[serde(default)]
+    pub budget_s: SweepBudget,
+    /// Standard deviation of the tilts of single rows, in degrees.
+    #[serde(default)]
+    pub tilt_sigma_deg: f64,
+}
+
+/// Where the seconds of a sweep went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SweepBudget {
+    /// The tilt moving at speed.
+    pub moving: f64,
+    /// The servo creeping into its target.
+    pub servo: f64,
+    /// Waiting for the laser.
+    pub laser: f64,
+    /// Nothing useful.
+    pub idle: f64,
 }
 
 /// Fitted surfaces by kind.

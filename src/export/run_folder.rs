@@ -5,7 +5,8 @@ use super::landmarks::{landmark_json, landmark_polygon};
 use super::map_picture::{self, Overlay};
 use super::map_server::{Cell, TrinaryMap};
 use super::report::{
-    FrontierLeft, PhaseReport, Report, SurfaceCounts, SweepReport, TimeSplit, VictimCounts,
+    FrontierLeft, PhaseReport, Report, SurfaceCounts, SweepBudget, SweepReport, TimeSplit,
+    VictimCounts,
 };
 use super::tum::{self, TimedPose};
 use super::{map3d, ply};
@@ -51,6 +52,13 @@ pub fn agent_report(agent: &Agent, scenario: &str, seed: u64) -> Report {
             profile: sweep.profile.clone(),
             rows: sweep.rows,
             seconds: sweep.seconds,
+            budget_s: SweepBudget {
+                moving: sweep.budget.moving_s,
+                servo: sweep.budget.servo_s,
+                laser: sweep.budget.laser_s,
+                idle: sweep.budget.idle_s,
+            },
+            tilt_sigma_deg: sweep.tilt_sigma_rad.to_degrees(),
         })
         .collect();
     let [planes, spheres, cylinders] = ledger.surfaces;

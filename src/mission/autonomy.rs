@@ -373,8 +373,11 @@ impl Running {
 
     /// Stops and sweeps where the robot stands.
     fn look_here(&mut self, desk: &mut Desk<'_>) {
-        match self.fan(desk.config) {
-            Some(request) => self.settle(Look::Sweep(request), desk),
+        match self.best_look(desk.config) {
+            Some(offer) => {
+                desk.info(format!("looking: {}", offer.reason));
+                self.settle(Look::Sweep(offer.request), desk);
+            }
             None => {
                 // A fixed laser looks all the time: what it shows from here is in the grid already.
                 self.stop(desk);

@@ -51,8 +51,10 @@ pub struct MissionConfig {
     pub time_limit_s: f64,
     /// Whether a small motion at the start shows which way pan and tilt turn.
     pub verify_signs: bool,
-    /// Whether the paper's full sweep of 220 rows is taken at the start.
+    /// Whether a full sweep of 220 rows is taken at the start.
     pub fine_sweep_at_start: bool,
+    /// How it is taken.
+    pub fine_sweep: FineSweep,
     /// Whether the tilt's motion is identified at the start, and exploration sweeps are then taken
     /// in motion instead of coming to rest at every row.
     pub flowing_sweeps: bool,
@@ -75,6 +77,22 @@ pub struct MissionConfig {
     pub leg_m: f64,
 }
 
+/// How the full sweep at the start is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FineSweep {
+    /// As the paper does where the paper's filter maps, or where sweeps in motion are off; in motion
+    /// otherwise.
+    #[default]
+    Auto,
+    /// At rest at every quarter of a degree, as the paper does in the simulator.
+    Paper,
+    /// In motion, every row filed under the tilt that the servo's model gives.
+    Model,
+    /// At a constant rate, as the paper's real robot does.
+    Continuous,
+}
+
 impl Default for MissionConfig {
     fn default() -> Self {
         Self {
@@ -85,6 +103,7 @@ impl Default for MissionConfig {
             time_limit_s: 1200.0,
             verify_signs: true,
             fine_sweep_at_start: true,
+            fine_sweep: FineSweep::Auto,
             flowing_sweeps: true,
             settle_s: 0.6,
             assumed_margin_m: 0.1,

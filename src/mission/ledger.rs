@@ -1,6 +1,6 @@
 //! Counts and times of a mission, for its report.
 
-use crate::acquisition::Scan;
+use crate::acquisition::{Scan, TimeBudget};
 use crate::time::Arrival;
 use serde::{Deserialize, Serialize};
 
@@ -46,6 +46,10 @@ pub struct SweepEntry {
     pub gaps: usize,
     /// Seconds from the first tilt command to the last filed line.
     pub seconds: f64,
+    /// Where those went.
+    pub budget: TimeBudget,
+    /// Standard deviation of the tilts of single rows, in radians.
+    pub tilt_sigma_rad: f64,
 }
 
 /// The running account of a mission.
@@ -88,6 +92,8 @@ impl Ledger {
             rows: scan.filed,
             gaps: scan.gaps,
             seconds: scan.seconds(),
+            budget: scan.budget,
+            tilt_sigma_rad: scan.errors.tilt_row_rad,
         });
     }
 }

@@ -11,6 +11,7 @@ mod config;
 mod event;
 mod journal;
 mod ledger;
+mod looks;
 mod motion;
 mod observe;
 mod opening;
@@ -23,7 +24,7 @@ mod teleop;
 
 pub use agent::{Agent, Tally};
 pub use belief::{Belief, BeliefConfig, ScanFindings};
-pub use config::{AgentConfig, MissionConfig};
+pub use config::{AgentConfig, FineSweep, MissionConfig};
 pub use event::{Action, Event, Outcome};
 pub use journal::{Journal, Level, Note};
 pub use ledger::{Ledger, Pastime, SweepEntry, TimeSplit};

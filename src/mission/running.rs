@@ -9,7 +9,9 @@ use super::observe::ObservedSweep;
 use super::operator::{DriveLease, Mode};
 use super::pilot::Pilot;
 use super::sign_test::SignTest;
-use crate::acquisition::{Acquisition, HeadAction, HeadEvent, ParkState, Scan, SweepRequest};
+use crate::acquisition::{
+    Acquisition, HeadAction, HeadEvent, ParkState, Profile, Scan, SweepRequest,
+};
 use crate::exploration::{ExploreConfig, Explorer, FrontierLeft};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
 use crate::protocol::message::Sen;
@@ -165,6 +167,11 @@ impl Running {
         if let Some(sight) = rig.visibility() {
             explore.blind_m = sight.nearest_from_centre_m.unwrap_or(explore.blind_m);
         }
+        if let (Some(acquisition), Some(view)) = (&acquisition, rig.ground_view()) {
+            let fan = Profile::ground_fan(&view, &config.acquisition.fan);
+            let sweep_s = acquisition.seconds_for(&fan, config.mission.flowing_sweeps);
+            explore.scan_s = explore.scan_s.min(sweep_s + config.mission.settle_s);
+        }
         let mut running = Self {
             pilot: Pilot::new(config, &rig, &shape),
             explorer: Explorer::new(explore),
@@ -225,14 +232,11 @@ impl Running {
         if desk.config.mission.flowing_sweeps {
             self.queue.push_back(Look::Calibrate);
         }
-        let paper = SweepRequest::paper(acquisition.config());
         let limits = acquisition.control().head().tilt().and_then(|axis| axis.limits);
-        if let Some(lost) = paper.profile.clone().clipped(limits).1 {
+        if let Some(lost) = Profile::paper_full().clipped(limits).1 {
             desk.warn(lost.explain(&view));
         }
-        if desk.config.mission.fine_sweep_at_start {
-            self.queue.push_back(Look::Sweep(paper));
-        }
+        self.queue.extend(self.first_sweep(desk.config).map(Look::Sweep));
         self.queue.extend(self.fan(desk.config).map(Look::Sweep));
         self.next_look_or_choose(desk);
     }
@@ -447,6 +451,7 @@ impl Running {
             self.measure_floor(&scan, desk);
         }
         let (profile, filed, seconds) = (scan.profile.clone(), scan.filed, scan.seconds());
+        let budget = scan.budget.to_string();
         let errors = crate::mapping::ScanErrors {
             tilt_offset_sigma_rad: scan.errors.tilt_common_rad,
             ..crate::mapping::ScanErrors::default()
@@ -462,7 +467,7 @@ impl Running {
         let moved_m = (after.translation.vector - before.translation.vector).norm();
         let turned = before.rotation.angle_to(&after.rotation).to_degrees();
         desk.info(format!(
-            "{profile} sweep: {filed} rows in {seconds:.1} s, {} planes ({} known, {} new), pose \
+            "{profile} sweep: {filed} rows in {seconds:.1} s ({budget}), {} planes ({} known, {} new), pose \
              corrected by {moved_m:.3} m and {turned:.2}°",
             findings.planes,
             findings.update.associations.len(),

@@ -1,0 +1,266 @@
+//! Which sweep to take: the one that shows most in the time it takes, and why.
+
+use super::config::AcquisitionConfig;
+use super::control::HeadControl;
+use super::profile::{FanConfig, Profile, QuarterDegrees};
+use super::servo::ServoLaw;
+use super::{SweepMode, SweepRequest};
+use crate::robot::GroundView;
+use serde::{Deserialize, Serialize};
+
+/// Width of the rings of an [`Interest`], in metres.
+pub const RING_M: f64 = 0.25;
+
+/// What a sweep from here could still show, by distance from the robot's centre.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Interest {
+    /// Ground in sight that was not seen well enough, in m², ring by ring of [`RING_M`].
+    pub unseen_m2: Vec<f64>,
+    /// Distances, least and greatest in metres, in order, that must get fine rows before the robot
+    /// drives there: suspected edges, and unknown ground in the way.
+    pub required_m: Vec<(f64, f64)>,
+}
+
+impl Interest {
+    /// Adds `area_m2` of unseen ground `distance_m` away.
+    pub fn add(&mut self, distance_m: f64, area_m2: f64) {
+        let ring = (distance_m.max(0.0) / RING_M) as usize;
+        if self.unseen_m2.len() <= ring {
+            self.unseen_m2.resize(ring + 1, 0.0);
+        }
+        self.unseen_m2[ring] += area_m2;
+    }
+
+    /// Demands fine rows `distance_m` away.
+    pub fn require(&mut self, distance_m: f64) {
+        let mut here = (distance_m - 0.5 * RING_M, distance_m + 0.5 * RING_M);
+        // Stretches that touch are one.
+        self.required_m.retain(|&(a, b)| {
+            let touches = a <= here.1 && here.0 <= b;
+            if touches {
+                here = (here.0.min(a), here.1.max(b));
+            }
+            !touches
+        });
+        let at = self.required_m.partition_point(|stretch| stretch.0 < here.0);
+        self.required_m.insert(at, here);
+    }
+
+    /// Unseen ground at `from_m` and beyond, in m².
+    fn beyond_m2(&self, from_m: f64) -> f64 {
+        let first = (from_m / RING_M).ceil() as usize;
+        self.unseen_m2.iter().skip(first).sum()
+    }
+}
+
+/// A sweep that was chosen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Offer {
+    /// What to ask for.
+    pub request: SweepRequest,
+    /// How long it should take, in seconds.
+    pub seconds: f64,
+    /// Unseen ground that it should show, in m².
+    pub gain_m2: f64,
+    /// Why this one, in plain words.
+    pub reason: String,
+}
+
+/// How fast rows can be taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pace {
+    /// Whether motion and laser overlap.
+    flowing: bool,
+    law: Option<ServoLaw>,
+    interval_s: f64,
+    tolerance_rad: f64,
+    unknown_settle_s: f64,
+}
+
+impl Pace {
+    pub(super) fn of(control: &HeadControl, config: &AcquisitionConfig, flowing: bool) -> Self {
+        Self {
+            flowing,
+            law: control.tilt.law(),
+            interval_s: control.rhythm.interval().seconds(),
+            tolerance_rad: config.coarse_tolerance_deg.to_radians(),
+            unknown_settle_s: config.unknown_settle_s,
+        }
+    }
+
+    fn travel_s(&self, angle_rad: f64) -> f64 {
+        match self.law {
+            Some(ServoLaw::Hinge { speed_rad_s, .. }) => angle_rad.abs() / speed_rad_s,
+            // A spring gets anywhere within a few of its own periods, which rows outlast.
+            Some(ServoLaw::Spring { .. }) | None => 0.0,
+        }
+    }
+
+    /// Seconds that a sweep over `profile` takes, begun with the tilt at `tilt_rad`.
+    pub(super) fn seconds(&self, profile: &Profile, tilt_rad: f64) -> f64 {
+        let tilts = &profile.tilts;
+        let Some(first) = tilts.first() else { return 0.0 };
+        let settle = |step_rad: f64| {
+            self.law.map_or(self.unknown_settle_s, |law| law.settle_s(step_rad, self.tolerance_rad))
+        };
+        let row_s = |step_rad: f64| match self.flowing {
+            true => self.travel_s(step_rad).max(self.interval_s),
+            // The line after the one during which the tilt came to rest.
+            false => ((settle(step_rad) / self.interval_s).ceil() + 1.0) * self.interval_s,
+        };
+        let approach_rad = first.radians() - tilt_rad;
+        let rows: f64 = tilts.windows(2).map(|w| row_s(w[1].radians() - w[0].radians())).sum();
+        settle(approach_rad).max(self.travel_s(approach_rad)) + self.interval_s + rows
+    }
+}
+
+/// Distances from which on a fan of interest may begin, in metres.
+const CUTS_M: [f64; 6] = [0.75, 1.0, 1.5, 2.0, 3.0, 4.0];
+/// Worth of the walls in a sweep, in m² of ground: what it is taken for where no ground is unseen.
+const WALLS_M2: f64 = 4.0;
+/// Share of its ground that a fan of twice the spacing shows well enough to drive on.
+const COARSE_SHARE: f64 = 0.5;
+/// Distance between rings where fine rows are required, in metres: a third of a wheel's width more
+/// and an edge could hide between two of them.
+const FINE_RING_M: f64 = 0.1;
+
+/// The sweep that shows most per second among the whole fan, fans of interest, and a coarse fan;
+/// every one of them with the fine rows that `interest` requires. `None` for a laser that cannot tilt.
+pub(super) fn choose(
+    view: &GroundView<'_>,
+    config: &FanConfig,
+    interest: &Interest,
+    pace: &Pace,
+    tilt_rad: f64,
+) -> Option<Offer> {
+    let mode = match pace.flowing {
+        true => SweepMode::Flowing,
+        false => SweepMode::Settled { tolerance_rad: pace.tolerance_rad },
+    };
+    let offer = |name: String, fan: &FanConfig, share: f64| {
+        let mut profile = Profile::ground_fan(view, fan);
+        profile.name.clone_from(&name);
+        let profile = with_fine_rows(profile, view, interest).from_nearer_end(tilt_rad);
+        if profile.is_empty() {
+            return None;
+        }
+        let seconds = pace.seconds(&profile, tilt_rad);
+        let gain_m2 = share * interest.beyond_m2(fan.nearest_m);
+        let request = SweepRequest { profile, pan_rad: 0.0, mode };
+        Some(Offer { request, seconds, gain_m2, reason: name })
+    };
+    let whole = offer("ground fan".to_owned(), config, 1.0)?;
+    let cuts = CUTS_M.iter().filter(|&&cut| cut > config.nearest_m && cut < 0.6 * config.reach_m);
+    let cut = cuts.filter_map(|&nearest_m| {
+        offer(format!("fan from {nearest_m} m"), &FanConfig { nearest_m, ..config.clone() }, 1.0)
+    });
+    let wide = FanConfig { ring_spacing_m: 2.0 * config.ring_spacing_m, ..config.clone() };
+    let coarse = offer("coarse fan".to_owned(), &wide, COARSE_SHARE);
+    let per_second = |offer: &Offer| (offer.gain_m2 + WALLS_M2) / offer.seconds;
+    // Of equal ones the first: the whole fan, then the widest.
+    let mut best = whole.clone();
+    for other in cut.chain(coarse) {
+        if per_second(&other) > per_second(&best) {
+            best = other;
+        }
+    }
+    let told = |offer: &Offer| format!("{:.1} m² in {:.1} s", offer.gain_m2, offer.seconds);
+    let against = match best.reason == whole.reason {
+        true => "no part of it shows more per second".to_owned(),
+        false => format!("the whole fan {}", told(&whole)),
+    };
+    let fine = match interest.required_m.is_empty() {
+        true => String::new(),
+        false => {
+            let stretches = interest.required_m.iter().map(|(a, b)| format!("{a:.1} to {b:.1} m"));
+            format!("; fine rows at {}", stretches.collect::<Vec<_>>().join(", "))
+        }
+    };
+    best.reason = format!("{}: {}, {against}{fine}", best.reason, told(&best));
+    Some(best)
+}
+
+/// `profile` with rows at most [`FINE_RING_M`] apart, or a quarter of a degree, where they are
+/// required; the steepest first.
+fn with_fine_rows(mut profile: Profile, view: &GroundView<'_>, interest: &Interest) -> Profile {
+    let Some(limit) = view.steepest_tilt_rad() else { return profile };
+    let steepest = (limit / super::QUARTER_DEGREE_RAD + 1e-9).floor() as i32;
+    let ahead = |tilt: QuarterDegrees| view.ground_ahead_m(tilt.radians());
+    for &(near_m, far_m) in &interest.required_m {
+        let Some(tilt_rad) = view.tilt_for_ground_ahead(near_m.max(0.0)) else { continue };
+        let mut tilt = QuarterDegrees((tilt_rad / super::QUARTER_DEGREE_RAD) as i32);
+        tilt.0 = tilt.0.min(steepest);
+        while let Some(distance_m) = ahead(tilt).filter(|&d| d <= far_m) {
+            profile.tilts.push(tilt);
+            tilt.0 -= 1;
+            while ahead(QuarterDegrees(tilt.0 - 1)).is_some_and(|d| d <= distance_m + FINE_RING_M) {
+                tilt.0 -= 1;
+            }
+        }
+        profile.tilts.push(tilt);
+    }
+    profile.tilts.sort_by_key(|tilt| std::cmp::Reverse(*tilt));
+    profile.tilts.dedup();
+    profile
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testbed::head;
+    use super::*;
+    use crate::geometry::AngleSpan;
+    use std::f64::consts::FRAC_PI_2;
+
+    const HINGE: Pace = Pace {
+        flowing: true,
+        law: Some(ServoLaw::Hinge { speed_rad_s: 0.17, gap_rad: 0.035 }),
+        interval_s: 0.2,
+        tolerance_rad: 0.001,
+        unknown_settle_s: 1.5,
+    };
+
+    fn chosen(interest: &Interest) -> Offer {
+        let head = head(Some(AngleSpan::new(-1.0, 1.0)), Some(0.17));
+        let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: FRAC_PI_2 };
+        choose(&view, &FanConfig::default(), interest, &HINGE, 0.3).unwrap()
+    }
+
+    #[test]
+    fn near_ground_that_is_unseen_is_worth_the_steep_rows() {
+        let mut interest = Interest::default();
+        (0..30).for_each(|ring| interest.add(0.5 + 0.25 * f64::from(ring), 2.0));
+        let offer = chosen(&interest);
+        assert!(offer.request.profile.name == "ground fan", "{}", offer.reason);
+        assert!((5.0..12.0).contains(&offer.seconds), "{} s", offer.seconds);
+    }
+
+    #[test]
+    fn where_only_far_ground_is_unseen_the_steep_rows_are_left_out() {
+        let mut interest = Interest::default();
+        (0..16).for_each(|ring| interest.add(4.0 + 0.25 * f64::from(ring), 2.0));
+        let offer = chosen(&interest);
+        assert!(offer.request.profile.name.starts_with("fan from"), "{}", offer.reason);
+        let whole = chosen(&Interest { unseen_m2: vec![40.0; 30], ..Interest::default() });
+        assert!(offer.seconds < 0.7 * whole.seconds, "{} {}", offer.seconds, whole.seconds);
+        assert!((offer.gain_m2 - 32.0).abs() < 1e-9 && offer.reason.contains("the whole fan"));
+    }
+
+    #[test]
+    fn a_suspected_edge_gets_fine_rows_whatever_else_is_chosen() {
+        let mut interest = Interest::default();
+        (0..16).for_each(|ring| interest.add(4.0 + 0.25 * f64::from(ring), 2.0));
+        [1.2, 1.3, 1.4].into_iter().for_each(|d| interest.require(d));
+        assert_eq!(interest.required_m.len(), 1);
+        let offer = chosen(&interest);
+        let head = head(Some(AngleSpan::new(-1.0, 1.0)), Some(0.17));
+        let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: FRAC_PI_2 };
+        let tilts = &offer.request.profile.tilts;
+        let mut rings: Vec<f64> =
+            tilts.iter().filter_map(|tilt| view.ground_ahead_m(tilt.radians())).collect();
+        rings.sort_by(f64::total_cmp);
+        let near: Vec<f64> = rings.into_iter().filter(|d| (1.05..1.6).contains(d)).collect();
+        assert!(near.len() >= 4, "{near:?}");
+        assert!(near.windows(2).all(|w| w[1] - w[0] < FINE_RING_M + 0.02), "{near:?}");
+        assert!(offer.reason.contains("fine rows at 1.1 to 1.5 m"), "{}", offer.reason);
+    }
+}

@@ -1,0 +1,78 @@
+//! What a sweep from where the robot stands could still show, and which sweep to take for it.
+
+use super::config::{AgentConfig, FineSweep};
+use super::running::Running;
+use crate::acquisition::{Interest, Offer, SweepRequest};
+use crate::mapping::Mode as MapperMode;
+use crate::terrain::CellClass;
+
+/// Bearings between the rays along which unseen ground is looked for, in radians.
+const BEARING_STEP_RAD: f64 = 0.05;
+/// Steps along a ray in metres: one cell of the finest grid in use.
+const STEP_M: f64 = 0.1;
+/// Suspected edges and unknown ground in the way of the robot up to this far get fine rows: it may
+/// fall there, or someone may lie there. What lies farther away is looked at again from nearer by.
+const WAY_WITHIN_M: f64 = 2.5;
+/// Half the width of that way in metres: the robot's own and a person's shoulder.
+const WAY_HALF_WIDTH_M: f64 = 0.5;
+
+impl Running {
+    /// The ground in sight that was not seen well enough.
+    fn interest(&self) -> Interest {
+        let mut interest = Interest::default();
+        let Some(acquisition) = &self.acquisition else { return interest };
+        let reach_m = acquisition.config().fan.reach_m;
+        let blind_m = self.rig.visibility().and_then(|sight| sight.nearest_from_centre_m);
+        let pose = self.pose2();
+        let rays = (std::f64::consts::PI / BEARING_STEP_RAD) as i32 / 2;
+        for bearing in (-rays..=rays).map(|i| f64::from(i) * BEARING_STEP_RAD) {
+            let (sin, cos) = (pose.yaw_rad + bearing).sin_cos();
+            let mut r = blind_m.unwrap_or(0.0);
+            while r < reach_m {
+                let cell = self.grid.cell_of(pose.x_m + r * cos, pose.y_m + r * sin);
+                let seen = self.grid.get(cell);
+                let unseen = match seen.class {
+                    CellClass::Unknown | CellClass::Suspect => true,
+                    class => class.is_drivable() && !seen.sure,
+                };
+                if unseen {
+                    interest.add(r, r * BEARING_STEP_RAD * STEP_M);
+                }
+                let in_the_way = bearing.cos() > 0.0
+                    && r < WAY_WITHIN_M
+                    && (r * bearing.sin()).abs() < WAY_HALF_WIDTH_M;
+                let hidden = matches!(seen.class, CellClass::Suspect | CellClass::Unknown);
+                if in_the_way && hidden {
+                    interest.require(r);
+                }
+                if seen.opaque {
+                    break;
+                }
+                r += STEP_M;
+            }
+        }
+        interest
+    }
+
+    /// The sweep that shows most per second from here, and why.
+    pub(super) fn best_look(&self, config: &AgentConfig) -> Option<Offer> {
+        let view = self.rig.ground_view()?;
+        let flowing = config.mission.flowing_sweeps;
+        self.acquisition.as_ref()?.choose(&view, &self.interest(), flowing)
+    }
+
+    /// The full sweep with which a mission begins, if it begins with one.
+    pub(super) fn first_sweep(&self, config: &AgentConfig) -> Option<SweepRequest> {
+        let acquisition = self.acquisition.as_ref()?;
+        if !config.mission.fine_sweep_at_start {
+            return None;
+        }
+        let by_paper = config.belief.mapper.mode == MapperMode::Mip;
+        Some(match config.mission.fine_sweep {
+            FineSweep::Continuous => SweepRequest::continuous(),
+            FineSweep::Model => SweepRequest::model(),
+            FineSweep::Auto if config.mission.flowing_sweeps && !by_paper => SweepRequest::model(),
+            FineSweep::Auto | FineSweep::Paper => SweepRequest::paper(acquisition.config()),
+        })
+    }
+}
