@@ -5,6 +5,7 @@
 #[allow(dead_code, reason = "shared with the tests, which use all of it")]
 mod scanner;
 #[path = "segmentation/scenes.rs"]
+#[allow(dead_code, reason = "shared with the tests, which use all of it")]
 mod scenes;
 #[path = "segmentation/world.rs"]
 #[allow(dead_code, reason = "shared with the tests, which use all of it")]

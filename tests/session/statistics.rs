@@ -31,8 +31,8 @@ struct Statistics {
     metres_per_count: f64,
     /// Least step of the odometry in metres.
     odometry_step_m: f64,
-    /// Greatest heading of a straight drive by odometry, in radians. Told, not held: the stand-in's
-    /// wheels creep apart by about 0.01 rad/s, which a robot as slow as the recording's shows.
+    /// Greatest heading of a straight drive by odometry, in radians: the stand-in's wheels creep
+    /// apart by about 0.01 rad/s, which a robot as slow as the recording's shows.
     heading_rad: f64,
     /// Metres of odometry for one metre of ground truth.
     odometry_per_truth: f64,
@@ -192,4 +192,5 @@ fn the_stand_in_tells_what_the_recording_tells_and_in_the_same_way() {
     assert!(near(ours.metres_per_count, real.metres_per_count, 0.04));
     assert!(near(ours.odometry_per_truth, real.odometry_per_truth, 0.1));
     assert!((ours.odometry_step_m - real.odometry_step_m).abs() < 2e-3);
+    assert!(ours.heading_rad < 0.05 && real.heading_rad < 0.05, "both drive straight");
 }
