@@ -25,6 +25,7 @@ mod odometry;
 pub mod perturbation;
 mod report;
 mod scan_errors;
+mod sight;
 
 pub use association::AssociationConfig;
 pub use full::{Full, FullConfig};
