@@ -23,6 +23,7 @@ pub mod mip;
 mod observation;
 mod odometry;
 pub mod perturbation;
+pub mod planar;
 mod report;
 mod scan_errors;
 mod sight;
