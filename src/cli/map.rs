@@ -320,6 +320,7 @@ fn summary(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> String {
             let reason = match refusal.reason {
                 RefusalReason::FailedRetest(d) => format!("failed after the update ({d:.1})"),
                 RefusalReason::Ambiguous => "ambiguous".to_owned(),
+                RefusalReason::Crowded => "one of too many".to_owned(),
                 RefusalReason::Doubtful(d) => format!("doubtful ({d:.1})"),
             };
             let _ = write!(text, "; {} {reason}", refusal.observation);

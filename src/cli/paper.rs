@@ -1,9 +1,14 @@
 //! `usar paper`: the paper's tables and figures from this code.
 
+mod compare2d;
 mod fig2;
+mod figures;
 mod table1;
 
+use super::files::write_stdout;
 use crate::export::canvas::Canvas;
+use crate::files::replace::replace_file;
+use crate::files::scenario::{self, LoadedScenario};
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
@@ -24,6 +29,9 @@ enum What {
         /// How to print it.
         #[arg(long, value_enum, default_value_t = Format::Text)]
         format: Format,
+        /// Folder for `table1.json` beside the printed table.
+        #[arg(long)]
+        out: Option<PathBuf>,
     },
     /// Figure 2: prediction and update of each step of Table I, as `fig2.png`.
     Fig2 {
@@ -31,6 +39,44 @@ enum What {
         #[arg(long, default_value = ".")]
         out: PathBuf,
     },
+    /// Figure 3: a mission's map from above, as `fig3.png`.
+    Fig3(Flight),
+    /// Figure 6: a mission's map at a slant, as `fig6.png`, and its size beside cloud and octree.
+    Fig6(Flight),
+    /// Figures 4, 7 and 10: a mission mapped in 3D and, from its level lines, by 2D scan matching.
+    ///
+    /// Writes `compare3d.png`, `compare2d.png` and `compare2d.json`.
+    Compare2d(Flight),
+}
+
+/// A mission that a figure is drawn from.
+#[derive(Debug, Args)]
+struct Flight {
+    /// Scenario file, or the name of one in the program.
+    #[arg(long, default_value = "station")]
+    scenario: PathBuf,
+    /// Seed of the simulator's noise, instead of the scenario's.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Length of the mission in seconds, instead of the scenario's.
+    #[arg(long, value_name = "S", value_parser = super::mission::positive_seconds)]
+    time_limit: Option<f64>,
+    /// Folder for the pictures.
+    #[arg(long, default_value = ".")]
+    out: PathBuf,
+}
+
+impl Flight {
+    fn load(&self) -> anyhow::Result<LoadedScenario> {
+        let mut loaded = scenario::load(&self.scenario, &[])?;
+        if let Some(seed) = self.seed {
+            loaded.files.scenario.seed = seed;
+        }
+        if let Some(limit) = self.time_limit {
+            loaded.agent.mission.time_limit_s = limit;
+        }
+        Ok(loaded)
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -44,25 +90,53 @@ enum Format {
 /// Runs the verb.
 pub fn run(arguments: PaperArguments) -> anyhow::Result<ExitCode> {
     match arguments.what {
-        What::Table1 { format } => {
-            let rows = table1::paper_mode(|_| ());
-            match format {
-                Format::Text => print!("{}", table1::text("Paper mode (MIP)", &rows)),
-                Format::Json => println!("{}", serde_json::json!({ "paper_mode": rows })),
+        What::Table1 { format, out } => {
+            let (paper, full) = (table1::paper_mode(|_| ()), table1::full_mode());
+            let document = serde_json::json!({ "paper_mode": paper, "full_mode": full });
+            if let Some(folder) = out {
+                let text = serde_json::to_string_pretty(&document)?;
+                write_file(&folder, "table1.json", text.as_bytes())?;
             }
+            write_stdout(&match format {
+                Format::Text => {
+                    table1::text("Paper mode (MIP)", &paper) + &table1::text("Full mode", &full)
+                }
+                Format::Json => document.to_string() + "\n",
+            })?;
         }
         What::Fig2 { out } => write_picture(&out, "fig2.png", &fig2::picture())?,
+        What::Fig3(flight) => {
+            let figures = figures::map_figures(flight.load()?)?;
+            write_picture(&flight.out, "fig3.png", &figures.fig3)?;
+        }
+        What::Fig6(flight) => {
+            let figures = figures::map_figures(flight.load()?)?;
+            let text = serde_json::to_string_pretty(&figures.compactness)?;
+            write_file(&flight.out, "fig6.json", text.as_bytes())?;
+            write_picture(&flight.out, "fig6.png", &figures.fig6)?;
+            write_stdout(&figures.compactness.text())?;
+        }
+        What::Compare2d(flight) => {
+            let outcome = compare2d::compare(flight.load()?)?;
+            let text = serde_json::to_string_pretty(&outcome.comparison)?;
+            write_file(&flight.out, "compare2d.json", text.as_bytes())?;
+            write_picture(&flight.out, "compare3d.png", &outcome.map_3d)?;
+            write_picture(&flight.out, "compare2d.png", &outcome.map_2d)?;
+            write_stdout(&outcome.comparison.text())?;
+        }
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes a picture by way of a temporary file, so that a viewer never sees half of it.
+/// Writes a picture and prints where it lies.
 fn write_picture(folder: &Path, name: &str, picture: &Canvas) -> anyhow::Result<()> {
+    write_file(folder, name, &picture.to_png())?;
+    write_stdout(&format!("{}\n", folder.join(name).display()))
+}
+
+/// Writes a file of a folder, which is made where it is missing; a reader never sees half of it.
+fn write_file(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
     let path = folder.join(name);
-    let partial = folder.join(format!("{name}.part"));
-    std::fs::write(&partial, picture.to_png()).with_context(|| format!("{}", partial.display()))?;
-    std::fs::rename(&partial, &path).with_context(|| format!("{}", path.display()))?;
-    println!("{}", path.display());
-    Ok(())
+    replace_file(&path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -7,10 +7,12 @@
 mod choose;
 mod frontier;
 mod memory;
+mod places;
 mod view;
 
 pub use frontier::Frontier;
 pub use memory::FailedGoal;
+pub use places::{Doorway, Places, Room};
 
 use crate::navigation::Pose2;
 use crate::terrain::{CellIndex, Grid};

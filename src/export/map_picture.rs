@@ -1,6 +1,7 @@
 //! `map.png`: the 2D map for people.
 
 use super::canvas::{Canvas, Colour};
+use crate::exploration::Places;
 use crate::terrain::{CellClass, Grid};
 use nalgebra::{Isometry3, Point2, Point3, Vector2};
 
@@ -17,6 +18,8 @@ pub struct Overlay {
     pub frontiers: Vec<Point2<f64>>,
     /// Places where a sweep was taken.
     pub sweeps: Vec<Point2<f64>>,
+    /// Rooms and doorways.
+    pub places: Places,
 }
 
 /// Pixels along the longer side of the map proper.
@@ -39,6 +42,7 @@ const LEGEND: &[(CellClass, &str)] = &[
 const PATH: Colour = Colour::rgb(0, 90, 220);
 const START: Colour = Colour::rgb(0, 120, 40);
 const VICTIM: Colour = Colour::rgb(200, 0, 0);
+const ROOM: Colour = Colour::rgb(0, 110, 110);
 const FRONTIER: Colour = Colour::rgb(150, 0, 160);
 
 /// The colour under which a class is drawn. Drop-offs are the loudest; no two differ by hue alone.
@@ -153,6 +157,16 @@ fn draw_overlay(canvas: &mut Canvas, view: &View, overlay: &Overlay) {
     for place in &overlay.sweeps {
         canvas.disc(view.pixel(*place), 3.5, PATH);
     }
+    for room in &overlay.places.rooms {
+        let label = format!("room {} ({:.0} m2)", room.id, room.area_m2);
+        let p = view.pixel(room.middle);
+        canvas.text(p.x - 0.5 * Canvas::text_width(1, &label), p.y - 4.0, 1, &label, ROOM);
+    }
+    for doorway in &overlay.places.doorways {
+        let (p, half) = (view.pixel(doorway.middle), 0.12 * view.scale);
+        let corners = [(0.0, -half), (half, 0.0), (0.0, half), (-half, 0.0)];
+        canvas.polygon_fill(&corners.map(|(x, y)| Point2::new(p.x + x, p.y + y)), ROOM);
+    }
     for frontier in &overlay.frontiers {
         canvas.circle(view.pixel(*frontier), 4.0, 1.5, FRONTIER);
     }
@@ -184,7 +198,7 @@ fn draw_legend(canvas: &mut Canvas, view: &View, overlay: &Overlay) {
     }
     let y = top + 38.0;
     let marks = "blue: path, dots are sweeps; green ring: start; purple rings: frontiers left; \
-                 red cross: victim";
+                 red cross: victim; teal diamond: doorway";
     canvas.text(MARGIN_PX, y, 1, marks, Colour::BLACK);
     // The longest of 1, 2, 5 and 10 m that fits a quarter of the width.
     let room_m = 0.25 * view.width_px() as f64 / view.scale;

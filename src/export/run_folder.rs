@@ -10,6 +10,7 @@ use super::report::{
 };
 use super::tum::{self, TimedPose};
 use super::{map3d, ply};
+use crate::exploration::Places;
 use crate::mission::{Agent, Belief, Running};
 use crate::terrain::{Grid, Trinary};
 use nalgebra::{Isometry3, Vector3};
@@ -87,7 +88,9 @@ pub fn map_files(agent: &Agent, title: &str) -> Files {
         .map(|(stamp, pose)| TimedPose { time_s: stamp.seconds(), pose })
         .collect();
     let path: Vec<Isometry3<f64>> = poses.iter().map(|timed| timed.pose).collect();
-    let overlay = overlay(running, title, &path);
+    let places = Places::default().renewed(&grid);
+    let places_json = serde_json::to_vec_pretty(&places).expect("numbers are always JSON");
+    let overlay = Overlay { places, ..overlay(running, title, &path) };
     let landmarks = belief.mapper().landmarks();
     let polygons: Vec<ply::Polygon> = landmarks.iter().map(landmark_polygon).collect();
     let surfaces: Vec<_> = landmarks.iter().map(landmark_json).collect();
@@ -103,6 +106,7 @@ pub fn map_files(agent: &Agent, title: &str) -> Files {
         ("ground.png", ground_png(&grid, belief)),
         ("planes.ply", ply::format(&polygons).into_bytes()),
         ("surfaces.json", surfaces),
+        ("places.json", places_json),
         ("map.png", map_picture::draw(&grid, &overlay).to_png()),
         ("map3d.png", map3d::draw(landmarks, &grid, &path, &size).to_png()),
     ]
@@ -128,6 +132,7 @@ fn overlay(running: &Running, title: &str, path: &[Isometry3<f64>]) -> Overlay {
             .iter()
             .map(|pose| pose.translation.vector.xy().into())
             .collect(),
+        places: Places::default(),
     }
 }
 

@@ -10,7 +10,7 @@ use super::belief::{Belief, PairRows};
 use super::landmark::{Landmark, carried_hull, hulls_meet};
 use super::observation::Observation;
 use super::perturbation::pose_error;
-use nalgebra::{Matrix3x4, Vector3};
+use nalgebra::{Isometry3, Matrix3x4, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Settings of data association.
@@ -72,6 +72,22 @@ pub(super) struct Assignment {
     pub(super) score: f64,
     /// The belief after the pairs.
     pub(super) belief: Belief,
+    /// Whether what fits under that belief may be paired. Without it nothing that could be a landmark
+    /// is used for anything: the pose stays as predicted.
+    pub(super) pairing: bool,
+}
+
+impl Assignment {
+    /// The explanation that nothing was recognised.
+    pub(super) fn none(predicted: &Belief) -> Self {
+        Self { pairs: Vec::new(), score: 0.0, belief: predicted.clone(), pairing: false }
+    }
+
+    /// Whether it puts the robot well away from another pose.
+    pub(super) fn apart_from(&self, world_from_robot: &Isometry3<f64>) -> bool {
+        let gap = pose_error(&self.belief.world_from_robot, world_from_robot);
+        gap.fixed_rows::<3>(0).norm() > APART_M || gap.fixed_rows::<3>(3).norm() > APART_RAD
+    }
 }
 
 /// What an observation was found to be.
@@ -83,6 +99,8 @@ pub(super) enum Verdict {
     New,
     /// One of several landmarks.
     Ambiguous,
+    /// One plane too many for one scan.
+    Crowded,
     /// Too far from a landmark to be it, too near to be something else.
     Doubtful(f64),
 }
@@ -94,7 +112,7 @@ const SETTLED_RAD: f64 = 0.0005;
 const APART_M: f64 = 0.10;
 const APART_RAD: f64 = 0.03;
 /// Most assignments that are handed back.
-const MOST_ASSIGNMENTS: usize = 3;
+const MOST_ASSIGNMENTS: usize = 4;
 /// Difference of the distances of two landmarks below which neither is preferred.
 const CLOSE_CALL: f64 = 2.0;
 
@@ -154,9 +172,15 @@ impl Question<'_> {
             || map.mask.near(&seen.mask, &plane_from_observed, gap)
     }
 
-    /// The jointly compatible sets of pairs among the largest observations, best first; at least one,
-    /// which may be empty.
-    pub(super) fn search(&self, belief: &Belief, config: &AssociationConfig) -> Vec<Assignment> {
+    /// The jointly compatible sets of pairs among the largest observations that put the robot apart,
+    /// best first; at least one, which may be empty. Sets that have up to `slack` pairs fewer than the
+    /// largest count too: a place may owe its additional pairs to chance.
+    pub(super) fn search(
+        &self,
+        belief: &Belief,
+        config: &AssociationConfig,
+        slack: usize,
+    ) -> Vec<Assignment> {
         let mut anchors: Vec<(usize, Vec<usize>)> = Vec::new();
         for (observation, planes) in self.candidates.iter().enumerate() {
             let fitting: Vec<usize> = planes
@@ -177,29 +201,38 @@ impl Question<'_> {
         anchors.sort_by(|a, b| area(b.0).total_cmp(&area(a.0)).then(a.0.cmp(&b.0)));
         anchors.truncate(config.anchors);
         anchors.sort_by_key(|(_, fitting)| fitting.len());
-        let mut search =
-            Search { question: self, anchors: &anchors, config, trials: 0, found: Vec::new() };
-        let start = Assignment { pairs: Vec::new(), score: 0.0, belief: belief.clone() };
+        let mut search = Search {
+            question: self,
+            anchors: &anchors,
+            config,
+            slack,
+            trials: 0,
+            most: 0,
+            found: Vec::new(),
+        };
+        let start = Assignment { pairing: true, ..Assignment::none(belief) };
         search.descend(0, start);
+        let most = search.most;
         let mut found = search.found;
-        found.sort_by(|a, b| b.pairs.len().cmp(&a.pairs.len()).then(b.score.total_cmp(&a.score)));
-        let mut apart: Vec<Assignment> = Vec::new();
-        for assignment in found {
-            let known = apart.iter().any(|other| !puts_robot_elsewhere(other, &assignment));
-            if !known && apart.len() < MOST_ASSIGNMENTS {
-                apart.push(assignment);
-            }
-        }
-        apart
+        found.retain(|assignment| assignment.pairs.len() + slack >= most);
+        found.sort_by(|a, b| b.score.total_cmp(&a.score));
+        found.truncate(MOST_ASSIGNMENTS);
+        found
     }
 
     /// Decides every observation, given the belief after the joint search. Several observations may
     /// be pieces of one landmark: with the pose settled, a piece that fits is a piece.
-    pub(super) fn decide(&self, belief: &Belief, config: &AssociationConfig) -> Vec<Verdict> {
+    pub(super) fn decide(
+        &self,
+        assignment: &Assignment,
+        config: &AssociationConfig,
+    ) -> Vec<Verdict> {
+        let belief = &assignment.belief;
         (0..self.observations.len())
             .map(|observation| {
                 let mut fitting: Vec<(f64, f64, usize)> = Vec::new();
                 let mut nearest_miss = f64::INFINITY;
+                let mut pulls = false;
                 for &plane in &self.candidates[observation] {
                     let rows = self.rows(belief, observation, plane);
                     if !self.comparable(belief, &rows, observation, plane, config) {
@@ -208,12 +241,16 @@ impl Question<'_> {
                     let distance = rows.distance_squared();
                     if distance < config.gate {
                         fitting.push((distance + rows.log_determinant(), distance, plane));
+                        pulls |= rows.h.x.abs() > APART_M;
                     } else {
                         nearest_miss = nearest_miss.min(distance);
                     }
                 }
                 fitting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
                 match fitting.as_slice() {
+                    // A pair that would take the robot elsewhere was not part of the joint search's
+                    // answer: alone it says nothing.
+                    [_, ..] if pulls || !assignment.pairing => Verdict::Ambiguous,
                     [] if nearest_miss < config.doubt_gate => Verdict::Doubtful(nearest_miss),
                     [] => Verdict::New,
                     [first, second, ..]
@@ -253,31 +290,28 @@ impl Question<'_> {
     }
 }
 
-fn puts_robot_elsewhere(a: &Assignment, b: &Assignment) -> bool {
-    let gap = pose_error(&a.belief.world_from_robot, &b.belief.world_from_robot);
-    gap.fixed_rows::<3>(0).norm() > APART_M || gap.fixed_rows::<3>(3).norm() > APART_RAD
-}
-
 struct Search<'a> {
     question: &'a Question<'a>,
     anchors: &'a [(usize, Vec<usize>)],
     config: &'a AssociationConfig,
+    slack: usize,
     trials: usize,
+    /// Pairs of the largest set so far.
+    most: usize,
+    /// The best set of each place.
     found: Vec<Assignment>,
 }
 
 impl Search<'_> {
     fn descend(&mut self, depth: usize, so_far: Assignment) {
-        let best = self.found.iter().map(|found| found.pairs.len()).max().unwrap_or(0);
         let reachable = so_far.pairs.len() + self.anchors.len() - depth;
         // The first descent always ends: only alternatives to it are given up.
         let given_up = self.trials > self.config.max_trials && !self.found.is_empty();
-        if reachable < best || given_up {
+        if reachable + self.slack < self.most || given_up {
             return;
         }
         let Some((observation, planes)) = self.anchors.get(depth) else {
-            self.found.retain(|found| found.pairs.len() >= so_far.pairs.len());
-            self.found.push(so_far);
+            self.file(so_far);
             return;
         };
         let mut fitting: Vec<(f64, usize, PairRows)> = Vec::new();
@@ -312,6 +346,17 @@ impl Search<'_> {
             self.descend(depth + 1, next);
         }
         self.descend(depth + 1, so_far);
+    }
+
+    /// Keeps a set when it is the best of its place.
+    fn file(&mut self, set: Assignment) {
+        self.most = self.most.max(set.pairs.len());
+        let pose = set.belief.world_from_robot;
+        match self.found.iter_mut().find(|known| !known.apart_from(&pose)) {
+            Some(known) if known.score >= set.score => {}
+            Some(known) => *known = set,
+            None => self.found.push(set),
+        }
     }
 }
 

@@ -1,11 +1,12 @@
 //! The full mode: landmarks with covariance and correlations, loops, and several explanations where
 //! the data allow several.
 
-use super::association::AssociationConfig;
-use super::estimate::{Arrival, Attitude, Estimate};
+use super::association::{Assignment, AssociationConfig};
+use super::estimate::{Arrival, Attitude, Estimate, Prepared};
 use super::graph::GraphConfig;
 use super::landmark::{Landmark, LandmarkId};
-use super::report::UpdateReport;
+use super::perturbation::pose_error;
+use super::report::{MovedKeyframe, UpdateReport};
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
@@ -25,12 +26,60 @@ pub struct FullConfig {
 const WIDENING: f64 = 4.0;
 /// Pairs below which a scan is tried again with a widened motion.
 const FEW_PAIRS: usize = 3;
+/// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
+const LOG_SELDOM: f64 = -7.0;
+/// What one explanation must be behind by while nothing proves it.
+const UNPROVEN: f64 = 3.0;
+/// Logarithm of how much one contradicting point in a hundred speaks against a pose, beyond the few
+/// that doors, people and masks account for, and the most that contradictions may say.
+const AGAINST_PER_CENT: f64 = 3.0;
+const TOLERATED_SHARE: f64 = 0.02;
+const MOST_AGAINST: f64 = 100.0;
+/// Corrections that are looked at twice, whatever the odometry's noise allows, and how many pairs
+/// fewer another explanation may then have.
+const LARGE_M: f64 = 0.3;
+const LARGE_RAD: f64 = 0.1;
+const SLACK: usize = 2;
+/// Corrections that need proof.
+const FAR_M: f64 = 0.8;
+const FAR_RAD: f64 = 0.35;
+/// Share of a scan's area that must be recognised before it may move the robot beyond what odometry
+/// allows.
+const PROVEN_AREA_SHARE: f64 = 0.6;
+/// Least eigenvalue of the sum of `n nᵀ` over the recognised normals that fixes a place.
+const PROVEN_SPREAD: f64 = 0.4;
+/// An explanation behind the best by this much (a factor of 20 000) is dropped.
+const DEAD: f64 = 10.0;
+/// Most explanations that are carried, and scans that one may be carried without becoming the best.
+const MOST_HYPOTHESES: usize = 3;
+const LONGEST_BEHIND: usize = 12;
+
+/// One explanation of everything seen so far.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Hypothesis {
+    estimate: Estimate,
+    /// Logarithm of its weight beside the best, which has 0.
+    log_weight: f64,
+    /// Scans since it was the best or began.
+    behind: usize,
+}
 
 /// The full mode's state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Full {
     config: FullConfig,
-    estimate: Estimate,
+    /// Best first; never empty.
+    hypotheses: Vec<Hypothesis>,
+    /// Poses of the keyframes as they were told to the outside, by whatever explanation led then.
+    told: Vec<Isometry3<f64>>,
+}
+
+/// One way to go on from a hypothesis.
+struct Branch {
+    parent: usize,
+    prepared: usize,
+    assignment: Assignment,
+    log_weight: f64,
 }
 
 impl Full {
@@ -41,11 +90,15 @@ impl Full {
         covariance: &Matrix6<f64>,
     ) -> Self {
         let estimate = Estimate::new(config.graph, world_from_robot, covariance);
-        Self { config, estimate }
+        let first = Hypothesis { estimate, log_weight: 0.0, behind: 0 };
+        Self { config, hypotheses: vec![first], told: Vec::new() }
     }
 
     /// Takes in a scan made after `motion`, whose covariance is a perturbation in the frame at its
     /// beginning, and the attitude (roll, pitch, standard deviation) measured with it.
+    ///
+    /// Where the scan can be explained in several ways that put the robot elsewhere, all of them are
+    /// carried until what is seen later leaves one; the report is that of the best.
     pub fn observe(
         &mut self,
         motion: &Isometry3<f64>,
@@ -63,52 +116,254 @@ impl Full {
             }),
             scan,
         };
+        let mut prepared = Vec::new();
+        let mut branches: Vec<Branch> = Vec::new();
+        for parent in 0..self.hypotheses.len() {
+            self.branch(parent, &arrival, &mut prepared, &mut branches);
+        }
+        branches.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
+        let best = branches[0].log_weight;
+        branches.retain(|branch| branch.log_weight > best - DEAD);
+        branches.truncate(MOST_HYPOTHESES);
+        self.follow(&arrival, &prepared, &branches)
+    }
+
+    /// The ways to go on from one hypothesis.
+    fn branch(
+        &self,
+        parent: usize,
+        arrival: &Arrival<'_>,
+        prepared: &mut Vec<Prepared>,
+        branches: &mut Vec<Branch>,
+    ) {
         let config = &self.config.association;
-        let mut prepared = self.estimate.prepare(&arrival, config, 1.0);
-        let pairs = prepared.assignments[0].pairs.len();
-        let expected = scan.observations.len().min(config.anchors) / 3;
-        if !self.estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS) {
-            let wide = self.estimate.prepare(&arrival, config, WIDENING);
-            if wide.assignments[0].pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1) {
-                prepared = wide;
+        let Hypothesis { estimate, log_weight, .. } = &self.hypotheses[parent];
+        let mut plain = estimate.prepare(arrival, config, 1.0);
+        let predicted = plain.belief.world_from_robot;
+        let found = &plain.assignments[0];
+        let pairs = found.pairs.len();
+        let expected = arrival.scan.observations.len().min(config.anchors) / 3;
+        let few = !estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS);
+        let large = moves_far(&predicted, &found.belief.world_from_robot, LARGE_M, LARGE_RAD);
+        let place = prepared.len();
+        let plainly = !few && !large && plain.assignments.len() == 1 && self.hypotheses.len() == 1;
+        if plainly {
+            let assignment = found.clone();
+            branches.push(Branch { parent, prepared: place, assignment, log_weight: 0.0 });
+            prepared.push(plain);
+            return;
+        }
+        if large {
+            estimate.associate(arrival, config, &mut plain, SLACK);
+        }
+        // That nothing was recognised is an explanation too.
+        let mut options = vec![(place, Assignment::none(&plain.belief), 0.0)];
+        options.extend(plain.assignments.iter().map(|found| (place, found.clone(), 0.0)));
+        prepared.push(plain);
+        if few {
+            let wide = estimate.prepare(arrival, config, WIDENING);
+            let more = |found: &&Assignment| found.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
+            let found = wide.assignments.iter().filter(more);
+            options.extend(found.map(|found| (place + 1, found.clone(), LOG_SELDOM)));
+            prepared.push(wide);
+        }
+        let judged = judge(options, estimate, &predicted, arrival.scan);
+        branches.extend(judged.into_iter().map(|(prepared, assignment, score)| Branch {
+            parent,
+            prepared,
+            assignment,
+            log_weight: log_weight + score,
+        }));
+    }
+
+    /// Goes on along the branches, best first, and reports the first.
+    fn follow(
+        &mut self,
+        arrival: &Arrival<'_>,
+        prepared: &[Prepared],
+        branches: &[Branch],
+    ) -> UpdateReport {
+        let config = &self.config.association;
+        let switched = branches[0].parent != 0;
+        let mut parents: Vec<Option<Hypothesis>> =
+            std::mem::take(&mut self.hypotheses).into_iter().map(Some).collect();
+        let mut first_report = None;
+        for (at, branch) in branches.iter().enumerate() {
+            let needed_again = branches[at + 1..].iter().any(|other| other.parent == branch.parent);
+            let parent = &mut parents[branch.parent];
+            let from = if needed_again { parent.clone() } else { parent.take() };
+            let mut from = from.expect("a parent is taken by its last branch");
+            let report = from.estimate.apply(
+                arrival,
+                &prepared[branch.prepared],
+                &branch.assignment,
+                config,
+            );
+            let pose = from.estimate.last_pose();
+            from.behind = if at == 0 { 0 } else { from.behind + 1 };
+            from.log_weight = branch.log_weight - branches[0].log_weight;
+            let known = self
+                .hypotheses
+                .iter()
+                .any(|other| !moves_far(&other.estimate.last_pose(), &pose, SAME_M, SAME_RAD));
+            if first_report.is_none() {
+                first_report = Some(report);
+                self.hypotheses.push(from);
+            } else if !known && from.behind <= LONGEST_BEHIND {
+                self.hypotheses.push(from);
             }
         }
-        let best = prepared.assignments[0].clone();
-        self.estimate.apply(&arrival, &prepared, &best, config)
+        let mut report = first_report.expect("there is always a branch");
+        report.hypotheses = self.hypotheses.len();
+        self.tell(&mut report, switched);
+        report
+    }
+
+    /// Notes the poses that a report tells, and adds to it those that another explanation moves.
+    fn tell(&mut self, report: &mut UpdateReport, switched: bool) {
+        if switched {
+            report.loop_undone = true;
+            report.moved.clear();
+            let poses = self.hypotheses[0].estimate.poses();
+            for (keyframe, (told, pose)) in self.told.iter_mut().zip(poses).enumerate() {
+                if moves_far(told, &pose, TOLD_M, TOLD_RAD) {
+                    report.moved.push(MovedKeyframe {
+                        keyframe,
+                        before: *told,
+                        world_from_robot: pose,
+                    });
+                    *told = pose;
+                }
+            }
+        } else {
+            for moved in &report.moved {
+                self.told[moved.keyframe] = moved.world_from_robot;
+            }
+        }
+        self.told.push(report.world_from_robot);
+    }
+
+    fn best(&self) -> &Estimate {
+        &self.hypotheses[0].estimate
     }
 
     /// Whether nothing was observed yet.
     pub fn is_empty(&self) -> bool {
-        self.estimate.is_empty()
+        self.best().is_empty()
     }
 
     /// Pose at the last scan.
     pub fn world_from_robot(&self) -> Isometry3<f64> {
-        self.estimate.last_pose()
+        self.best().last_pose()
     }
 
     /// Covariance of that pose as a perturbation `[δt; δr]` in the world frame.
     pub fn covariance(&self) -> Matrix6<f64> {
-        self.estimate.last_covariance()
+        self.best().last_covariance()
     }
 
     /// The landmarks, by identity.
     pub fn landmarks(&self) -> &[Landmark] {
-        self.estimate.landmarks()
+        self.best().landmarks()
     }
 
     /// Covariance of a landmark now; the one in the landmark is that of when it was last seen.
     pub fn landmark_covariance(&self, id: LandmarkId) -> Option<Matrix3<f64>> {
-        self.estimate.landmark_covariance(id)
+        self.best().landmark_covariance(id)
     }
 
     /// Covariance of the motion between two scans, as a perturbation in the frame of the first.
     pub fn motion_covariance(&self, first: usize, second: usize) -> Option<Matrix6<f64>> {
-        self.estimate.motion_covariance(first, second)
+        self.best().motion_covariance(first, second)
     }
 
     /// Poses at all scans.
     pub fn keyframes(&self) -> Vec<Isometry3<f64>> {
-        self.estimate.poses()
+        self.best().poses()
     }
+}
+
+/// Two explanations that put the robot this near to each other are one.
+const SAME_M: f64 = 0.05;
+const SAME_RAD: f64 = 0.01;
+/// A change of an old pose that is told when another explanation becomes the best.
+const TOLD_M: f64 = 0.02;
+const TOLD_RAD: f64 = 0.005;
+
+fn moves_far(a: &Isometry3<f64>, b: &Isometry3<f64>, far_m: f64, far_rad: f64) -> bool {
+    let gap = pose_error(a, b);
+    gap.fixed_rows::<3>(0).norm() > far_m || gap.fixed_rows::<3>(3).norm() > far_rad
+}
+
+/// Logarithm of how much a share of contradicting points speaks against a pose.
+fn weight_of(contradicting_share: f64) -> f64 {
+    let excess = (contradicting_share - TOLERATED_SHARE).max(0.0);
+    (100.0 * AGAINST_PER_CENT * excess).min(MOST_AGAINST)
+}
+
+/// Scores of explanations (position of what was prepared, assignment, logarithm of its prior), with
+/// what the map says against them, and without a lead for what is far from the prediction and unproven.
+fn judge(
+    options: Vec<(usize, Assignment, f64)>,
+    estimate: &Estimate,
+    predicted: &Isometry3<f64>,
+    scan: &ScanObservations,
+) -> Vec<(usize, Assignment, f64)> {
+    struct Judged {
+        prepared: usize,
+        assignment: Assignment,
+        score: f64,
+        refuted: f64,
+        far: bool,
+    }
+    let judged: Vec<Judged> = options
+        .into_iter()
+        .map(|(prepared, assignment, log_prior)| {
+            let pose = assignment.belief.world_from_robot;
+            let refuted = estimate.contradiction(&pose, scan).share();
+            let score = assignment.score + log_prior - weight_of(refuted);
+            let far = moves_far(predicted, &pose, FAR_M, FAR_RAD);
+            Judged { prepared, assignment, score, refuted, far }
+        })
+        .collect();
+    let near = judged.iter().filter(|option| !option.far);
+    let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
+    let near = near.expect("the prediction itself is among the explanations");
+    let (near_score, near_refuted) = (near.score, near.refuted);
+    let far_places = judged.iter().filter(|option| option.far).count();
+    judged
+        .into_iter()
+        .map(|Judged { prepared, assignment, score, refuted, far }| {
+            // What lies far from the prediction needs more than a good fit: worlds repeat themselves.
+            let proven = !far
+                || (far_places == 1
+                    && refuted < TOLERATED_SHARE
+                    && near_refuted > refuted + TOLERATED_SHARE
+                    && proven(&assignment, scan));
+            let score = if proven { score } else { score.min(near_score - UNPROVEN) };
+            tracing::debug!(
+                pairs = assignment.pairs.len(),
+                score,
+                refuted,
+                far,
+                proven,
+                "explanation of a scan"
+            );
+            (prepared, assignment, score)
+        })
+        .collect()
+}
+
+/// Whether an assignment recognises most of what a scan shows, in planes that fix all directions.
+fn proven(assignment: &Assignment, scan: &ScanObservations) -> bool {
+    let area = |observation: usize| scan.observations[observation].area_m2();
+    let recognised: f64 = assignment.pairs.iter().map(|pair| area(pair.0)).sum();
+    let whole: f64 = (0..scan.observations.len()).map(area).sum();
+    let spread: Matrix3<f64> = assignment
+        .pairs
+        .iter()
+        .map(|pair| scan.observations[pair.0].normal())
+        .map(|normal| normal * normal.transpose())
+        .sum();
+    recognised > PROVEN_AREA_SHARE * whole && spread.symmetric_eigenvalues().min() > PROVEN_SPREAD
 }

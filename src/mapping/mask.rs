@@ -8,6 +8,9 @@ pub const MASK_CELL_M: f64 = 0.1;
 const TILE: i32 = 8;
 /// Cells of which a mask is sampled when only nearness is asked.
 const NEAR_SAMPLES: usize = 200;
+/// Neighbouring points farther apart than this have not shown what lies between them: at grazing
+/// incidence a doorway fits there.
+const LONGEST_SPAN_M: f64 = 0.6;
 /// No scanner sees a longer surface.
 const LONGEST_EXTENT_M: f64 = 400.0;
 
@@ -34,6 +37,11 @@ impl PlaneMask {
     /// Number of cells that are set.
     pub fn count(&self) -> usize {
         self.tiles.values().map(|bits| bits.count_ones() as usize).sum()
+    }
+
+    /// Number of tiles of 8 × 8 cells that hold any: what the mask costs.
+    pub fn tiles(&self) -> usize {
+        self.tiles.len()
     }
 
     /// Area of all cells that are set, in m².
@@ -63,6 +71,12 @@ impl PlaneMask {
     /// Whether the cell of a point is set.
     pub fn contains(&self, point: &Point2<f64>) -> bool {
         self.get(cell_of(point.x), cell_of(point.y))
+    }
+
+    /// Whether the cell of a point and all within `reach` cells of it in each axis are set.
+    pub fn solid_about(&self, point: &Point2<f64>, reach: i32) -> bool {
+        let (x, y) = (cell_of(point.x), cell_of(point.y));
+        (-reach..=reach).all(|dy| (-reach..=reach).all(|dx| self.get(x + dx, y + dy)))
     }
 
     /// Centres of the cells that are set, by tile, then row by row.
@@ -205,6 +219,9 @@ impl MaskBuilder {
         let (from, to) = ((cell_of(low.x), cell_of(low.y)), (cell_of(high.x), cell_of(high.y)));
         // Corners in one cell or in cells side by side leave nothing between them.
         if to.0 - from.0 + to.1 - from.1 <= 1 {
+            return;
+        }
+        if (high - low).amax() > LONGEST_SPAN_M {
             return;
         }
         for corners in [[a, b, c], [a, c, d]] {

@@ -23,8 +23,10 @@ pub mod mip;
 mod observation;
 mod odometry;
 pub mod perturbation;
+pub mod planar;
 mod report;
 mod scan_errors;
+mod sight;
 
 pub use association::AssociationConfig;
 pub use full::{Full, FullConfig};

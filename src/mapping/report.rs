@@ -100,6 +100,8 @@ pub enum RefusalReason {
     /// It fitted a landmark before the update and no longer after it; the number is the squared
     /// Mahalanobis distance after the update.
     FailedRetest(f64),
+    /// The scan has more planes than one update takes in, and this is one of the smaller.
+    Crowded,
     /// It fits several landmarks, and nothing decides between them yet.
     Ambiguous,
     /// It is too far from a landmark to be it and too near to be something else; the number is the

@@ -181,6 +181,11 @@ impl Belief {
         &self.mapper
     }
 
+    /// The newest sweep and the number of its keyframe.
+    pub fn last_sweep(&self) -> Option<(usize, &RangeImage)> {
+        self.archive.last().map(|item| (item.keyframe, &item.image))
+    }
+
     /// The terrain as known now, the current leg included.
     pub fn terrain(&self) -> &Terrain {
         &self.live

@@ -9,6 +9,9 @@ use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::report::{Addition, Association, RefusalReason, UpdateReport};
 use nalgebra::Matrix3x4;
 
+/// Most planes that one scan may bring in, the largest first: all of a scan's planes are tied to one
+/// pose, and what a thousand slivers add does not pay for a joint covariance of three thousand rows.
+const MOST_PLANES: usize = 150;
 /// Most pairs that the test after the update may drop.
 const MOST_DROPPED: usize = 4;
 
@@ -29,7 +32,10 @@ impl Estimate {
             candidates: &prepared.candidates,
             landmarks: &landmarks,
         };
-        let verdicts = question.decide(&assignment.belief, config);
+        let mut verdicts = question.decide(assignment, config);
+        for index in beyond_the_largest(observations) {
+            verdicts[index] = Verdict::Crowded;
+        }
         let nis = question.joint_nis(&prepared.belief, &assignment.belief, &verdicts);
 
         let mut report = UpdateReport::begun(self.keyframes.len(), nis);
@@ -48,6 +54,7 @@ impl Estimate {
                     let landmark = self.add_landmark(index, observation, common);
                     report.added.push(Addition { observation: index, landmark });
                 }
+                Verdict::Crowded => report.refuse(index, RefusalReason::Crowded),
                 Verdict::Ambiguous => report.refuse(index, RefusalReason::Ambiguous),
                 Verdict::Doubtful(distance) => {
                     report.refuse(index, RefusalReason::Doubtful(distance));
@@ -189,4 +196,11 @@ impl Estimate {
             roots.sightings.retain(|sighting| *sighting != (number, index));
         }
     }
+}
+
+/// The observations beyond the [`MOST_PLANES`] of most points.
+fn beyond_the_largest(observations: &[Observation]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..observations.len()).collect();
+    order.sort_by_key(|&index| (std::cmp::Reverse(observations[index].points), index));
+    order.split_off(order.len().min(MOST_PLANES))
 }

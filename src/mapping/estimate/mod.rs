@@ -10,12 +10,12 @@ mod upkeep;
 use super::association::Assignment;
 use super::belief::Belief;
 use super::graph::{FactorId, Graph, GraphConfig, Key, positive};
-use super::index::SpatialIndex;
+use super::index::{Bounds, SpatialIndex};
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
 use super::perturbation::{first_jacobian, second_jacobian, symmetric};
 use super::scan_errors::ScanObservations;
-use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -44,7 +44,7 @@ pub(super) struct Arrival<'a> {
 /// A scan compared with the map, before anything is decided for good.
 pub(super) struct Prepared {
     /// What was believed before the scan.
-    belief: Belief,
+    pub(super) belief: Belief,
     /// Ways to associate it, best first; at least one, which may have no pair.
     pub(super) assignments: Vec<Assignment>,
     /// For each observation its candidates, as positions in `planes`.
@@ -132,6 +132,15 @@ impl Estimate {
 
     pub(super) fn landmark(&self, id: LandmarkId) -> Option<&Landmark> {
         self.slot(id).map(|slot| &self.landmarks[slot])
+    }
+
+    /// The landmarks whose boxes meet the box around some points.
+    pub(super) fn landmarks_about(
+        &self,
+        points: impl IntoIterator<Item = Point3<f64>>,
+    ) -> impl Iterator<Item = &Landmark> {
+        let near = Bounds::around(points, 0.0).map(|bounds| self.index.query(&bounds));
+        near.into_iter().flatten().filter_map(|id| self.landmark(LandmarkId(id)))
     }
 
     fn slot(&self, id: LandmarkId) -> Option<usize> {

@@ -47,15 +47,29 @@ impl Estimate {
             belief.absorb_attitude(&residual, &rows, attitude.sigma_rad);
         }
         let common = common_columns(scan);
-        let landmarks = self.named(&planes);
+        let assignments = Vec::new();
+        let mut prepared =
+            Prepared { belief, assignments, candidates, planes, common, motion_covariance };
+        self.associate(arrival, config, &mut prepared, 0);
+        prepared
+    }
+
+    /// Searches for jointly compatible pairs, see [`Question::search`].
+    pub(in crate::mapping) fn associate(
+        &self,
+        arrival: &Arrival<'_>,
+        config: &AssociationConfig,
+        prepared: &mut Prepared,
+        slack: usize,
+    ) {
+        let landmarks = self.named(&prepared.planes);
         let question = Question {
-            observations: &scan.observations,
-            common: &common,
-            candidates: &candidates,
+            observations: &arrival.scan.observations,
+            common: &prepared.common,
+            candidates: &prepared.candidates,
             landmarks: &landmarks,
         };
-        let assignments = question.search(&belief, config);
-        Prepared { belief, assignments, candidates, planes, common, motion_covariance }
+        prepared.assignments = question.search(&prepared.belief, config, slack);
     }
 
     pub(super) fn named(&self, planes: &[LandmarkId]) -> Vec<&Landmark> {

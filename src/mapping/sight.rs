@@ -1,0 +1,109 @@
+//! Whether a scan could have been made from where it is said to have been made: a robot does not see
+//! through walls, and a wall does not stand close before another that was seen.
+
+use super::estimate::Estimate;
+use super::landmark::Landmark;
+use super::scan_errors::ScanObservations;
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
+
+/// Most points of one observation that are looked at.
+const SAMPLES_PER_PLANE: usize = 40;
+/// A point this far behind a landmark, and this much more per metre of range, was seen through it:
+/// what a predicted pose is wrong by must not count.
+const BEHIND_M: f64 = 0.15;
+const BEHIND_PER_M: f64 = 0.015;
+/// A surface up to this far before a parallel one cannot be: that one was seen, square on, where it
+/// would be hidden.
+const DOUBLED_M: f64 = 0.6;
+const PARALLEL_COSINE: f64 = 0.99;
+/// Cells around the crossing in each axis that must all have been hit: edges of doorways shift with
+/// the pose.
+const SOLID_CELLS: i32 = 2;
+/// Sine of the angle to the surface below which a ray grazes it and says nothing.
+const GRAZING_SINE: f64 = 0.15;
+
+/// How a scan and the map contradict each other under a pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Contradiction {
+    /// Points of the scan that were looked at.
+    pub(super) samples: usize,
+    /// Those that lie behind a surface of the map, seen from the sensor, or close before one.
+    pub(super) refuted: usize,
+}
+
+impl Contradiction {
+    /// Share of the points that contradict.
+    pub(super) fn share(&self) -> f64 {
+        self.refuted as f64 / self.samples.max(1) as f64
+    }
+}
+
+impl Estimate {
+    /// How many points of the scan lie behind landmarks when the robot stands at `world_from_robot`.
+    ///
+    /// Costs samples × landmarks about the scan; asked only where an association is in doubt.
+    pub(super) fn contradiction(
+        &self,
+        world_from_robot: &Isometry3<f64>,
+        scan: &ScanObservations,
+    ) -> Contradiction {
+        let world_from_scan = world_from_robot * scan.robot_from_scan;
+        let eye = Point3::from(world_from_scan.translation.vector);
+        let hulls = scan.observations.iter().flat_map(|o| o.hull_points());
+        let around = hulls.map(|p| world_from_robot * p).chain([eye]);
+        let walls: Vec<Wall<'_>> =
+            self.landmarks_about(around).filter_map(|l| Wall::facing(l, &eye)).collect();
+        let mut found = Contradiction::default();
+        for observation in &scan.observations {
+            let world_from_plane = world_from_robot * observation.robot_from_plane;
+            let normal = world_from_plane.rotation * Vector3::z();
+            let stride = (observation.mask.count() / SAMPLES_PER_PLANE).max(1);
+            for cell in observation.mask.cells().step_by(stride) {
+                let point = world_from_plane * Point3::new(cell.x, cell.y, 0.0);
+                found.samples += 1;
+                if walls.iter().any(|wall| wall.refutes(&point, &normal)) {
+                    found.refuted += 1;
+                }
+            }
+        }
+        found
+    }
+}
+
+/// A landmark as seen from a point in front of it.
+struct Wall<'a> {
+    landmark: &'a Landmark,
+    plane_from_world: Isometry3<f64>,
+    eye: Point3<f64>,
+}
+
+impl<'a> Wall<'a> {
+    fn facing(landmark: &'a Landmark, eye: &Point3<f64>) -> Option<Self> {
+        let plane_from_world = landmark.world_from_plane.inverse();
+        let eye = plane_from_world * eye;
+        (eye.z > BEHIND_M && !landmark.mask.is_empty()).then_some(Self {
+            landmark,
+            plane_from_world,
+            eye,
+        })
+    }
+
+    /// Whether a point of the world on a surface with that normal cannot have been seen.
+    fn refutes(&self, point: &Point3<f64>, normal: &Vector3<f64>) -> bool {
+        let target = self.plane_from_world * point;
+        let ray = target - self.eye;
+        let range = ray.norm();
+        let margin = BEHIND_M + BEHIND_PER_M * range;
+        let solid =
+            |x: f64, y: f64| self.landmark.mask.solid_about(&Point2::new(x, y), SOLID_CELLS);
+        if target.z > margin && target.z < DOUBLED_M {
+            let parallel = self.landmark.normal().dot(normal) > PARALLEL_COSINE;
+            return parallel && solid(target.x, target.y);
+        }
+        if target.z > -margin || -ray.z < GRAZING_SINE * range {
+            return false;
+        }
+        let at = self.eye + ray * (self.eye.z / -ray.z);
+        solid(at.x, at.y)
+    }
+}
