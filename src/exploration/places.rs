@@ -12,6 +12,8 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Widest passage that counts as a doorway, in metres: a double door.
 const WIDEST_DOORWAY_M: f64 = 1.8;
+/// Obstacles that extend less than this are furniture.
+const FURNITURE_M: f64 = 2.5;
 /// Least ground of a room in m².
 const LEAST_ROOM_M2: f64 = 3.0;
 /// Least core of a room in m²: what a bulge of a corridor has not.
@@ -150,8 +152,55 @@ impl<'a> Ground<'a> {
         let clear =
             grid.cells().iter().map(|cell| if bound(cell.class) { 0 } else { u32::MAX }).collect();
         let mut ground = Self { grid, free, clear };
+        ground.forget_furniture();
         ground.measure();
         ground
+    }
+
+    /// What stands free and is short bounds no room: columns, benches, people.
+    fn forget_furniture(&mut self) {
+        let reach = (FURNITURE_M / self.grid.cell_m()) as i32;
+        let mut seen = vec![false; self.clear.len()];
+        for start in 0..self.clear.len() {
+            if seen[start] || self.clear[start] > 0 {
+                continue;
+            }
+            seen[start] = true;
+            let mut piece = vec![start];
+            let mut at = 0;
+            while let Some(&index) = piece.get(at) {
+                at += 1;
+                for next in self.around(index) {
+                    if !seen[next] && self.clear[next] == 0 {
+                        seen[next] = true;
+                        piece.push(next);
+                    }
+                }
+            }
+            let cells: Vec<CellIndex> = piece.iter().map(|&i| self.grid.cell_at(i)).collect();
+            let span = |of: fn(&CellIndex) -> i32| {
+                let (low, high) = (cells.iter().map(of).min(), cells.iter().map(of).max());
+                high.unwrap_or(0) - low.unwrap_or(0)
+            };
+            if span(|cell| cell.x).max(span(|cell| cell.y)) < reach {
+                for index in piece {
+                    self.clear[index] = u32::MAX;
+                }
+            }
+        }
+    }
+
+    /// The eight neighbours of a cell and those one farther: walls are seen with gaps.
+    fn around(&self, index: usize) -> Vec<usize> {
+        let (width, height) = (self.grid.width() as i64, self.grid.height() as i64);
+        let (x, y) = (index as i64 % width, index as i64 / width);
+        let mut found = Vec::with_capacity(24);
+        for ny in (y - 2).max(0)..=(y + 2).min(height - 1) {
+            for nx in (x - 2).max(0)..=(x + 2).min(width - 1) {
+                found.push((ny * width + nx) as usize);
+            }
+        }
+        found
     }
 
     /// Chamfer distances, two passes.
@@ -372,6 +421,15 @@ mod tests {
         assert_eq!(after.rooms.len(), 2);
         let kept = after.rooms.iter().find(|room| room.id == before.rooms[0].id);
         assert!(kept.is_some_and(|room| room.middle.x < 4.5), "{after:?}");
+    }
+
+    #[test]
+    fn a_table_divides_no_room() {
+        let mut rows = TWO_ROOMS.map(|row| row.replace(".#.", "..."));
+        rows[4] = "#.....####........#".into();
+        let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
+        let places = Places::default().renewed(&plan(&rows));
+        assert_eq!((places.rooms.len(), places.doorways.len()), (1, 0), "{places:?}");
     }
 
     #[test]

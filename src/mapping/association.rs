@@ -70,6 +70,10 @@ pub(super) struct Assignment {
     pub(super) pairs: Vec<(usize, usize)>,
     /// Logarithm of how much better the pairs explain the observations than new planes would.
     pub(super) score: f64,
+    /// The same with no pair counting for more than [`MOST_PER_PAIR`]: what speaks for this place
+    /// against another. Built worlds repeat and align their surfaces, so that a pair fits to the
+    /// millimetre by chance far more often than planes strewn at random would.
+    pub(super) support: f64,
     /// The belief after the pairs.
     pub(super) belief: Belief,
     /// Whether what fits under that belief may be paired. Without it nothing that could be a landmark
@@ -80,7 +84,13 @@ pub(super) struct Assignment {
 impl Assignment {
     /// The explanation that nothing was recognised.
     pub(super) fn none(predicted: &Belief) -> Self {
-        Self { pairs: Vec::new(), score: 0.0, belief: predicted.clone(), pairing: false }
+        Self {
+            pairs: Vec::new(),
+            score: 0.0,
+            support: 0.0,
+            belief: predicted.clone(),
+            pairing: false,
+        }
     }
 
     /// Whether it puts the robot well away from another pose.
@@ -111,6 +121,8 @@ const SETTLED_RAD: f64 = 0.0005;
 /// Two assignments differ when they put the robot this far apart.
 const APART_M: f64 = 0.10;
 const APART_RAD: f64 = 0.03;
+/// Most that one pair may say for a place: that it fits by chance once in twenty.
+const MOST_PER_PAIR: f64 = 3.0;
 /// Most assignments that are handed back.
 const MOST_ASSIGNMENTS: usize = 4;
 /// Difference of the distances of two landmarks below which neither is preferred.
@@ -339,7 +351,9 @@ impl Search<'_> {
             let (distance, plane) = (*distance, *plane);
             let mut next = so_far.clone();
             next.pairs.push((*observation, plane));
-            next.score += log_ratio(distance, rows, self.config);
+            let ratio = log_ratio(distance, rows, self.config);
+            next.score += ratio;
+            next.support += ratio.min(MOST_PER_PAIR);
             if !settled(&next.belief) {
                 self.question.absorb(&mut next.belief, *observation, plane);
             }

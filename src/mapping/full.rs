@@ -28,8 +28,9 @@ const WIDENING: f64 = 4.0;
 const FEW_PAIRS: usize = 3;
 /// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
 const LOG_SELDOM: f64 = -7.0;
-/// What one explanation must be behind by while nothing proves it.
-const UNPROVEN: f64 = 3.0;
+/// What one explanation must be behind by while nothing proves it: three scans' worth of a pair that
+/// fits by chance.
+const UNPROVEN: f64 = 9.0;
 /// Logarithm of how much one contradicting point in a hundred speaks against a pose, beyond the few
 /// that doors, people and masks account for, and the most that contradictions may say.
 const AGAINST_PER_CENT: f64 = 3.0;
@@ -48,8 +49,8 @@ const FAR_RAD: f64 = 0.35;
 const PROVEN_AREA_SHARE: f64 = 0.6;
 /// Least eigenvalue of the sum of `n nᵀ` over the recognised normals that fixes a place.
 const PROVEN_SPREAD: f64 = 0.4;
-/// An explanation behind the best by this much (a factor of 20 000) is dropped.
-const DEAD: f64 = 10.0;
+/// An explanation behind the best by this much is dropped.
+const DEAD: f64 = 15.0;
 /// Most explanations that are carried, and scans that one may be carried without becoming the best.
 const MOST_HYPOTHESES: usize = 3;
 const LONGEST_BEHIND: usize = 12;
@@ -321,7 +322,7 @@ fn judge(
         .map(|(prepared, assignment, log_prior)| {
             let pose = assignment.belief.world_from_robot;
             let refuted = estimate.contradiction(&pose, scan).share();
-            let score = assignment.score + log_prior - weight_of(refuted);
+            let score = assignment.support + log_prior - weight_of(refuted);
             let far = moves_far(predicted, &pose, FAR_M, FAR_RAD);
             Judged { prepared, assignment, score, refuted, far }
         })

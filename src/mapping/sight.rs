@@ -3,6 +3,7 @@
 
 use super::estimate::Estimate;
 use super::landmark::Landmark;
+use super::observation::Observation;
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
@@ -49,7 +50,7 @@ impl Estimate {
     ) -> Contradiction {
         let world_from_scan = world_from_robot * scan.robot_from_scan;
         let eye = Point3::from(world_from_scan.translation.vector);
-        let hulls = scan.observations.iter().flat_map(|o| o.hull_points());
+        let hulls = scan.observations.iter().flat_map(Observation::hull_points);
         let around = hulls.map(|p| world_from_robot * p).chain([eye]);
         let walls: Vec<Wall<'_>> =
             self.landmarks_about(around).filter_map(|l| Wall::facing(l, &eye)).collect();
