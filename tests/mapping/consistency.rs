@@ -99,3 +99,55 @@ fn full_mode_errors_match_their_covariance() {
     assert!((nees - 6.0).abs() < band(6.0, runs), "{nees}");
     assert_eq!(wrong, 0);
 }
+
+/// What many runs of one mode came to.
+struct Study {
+    nees: f64,
+    rms_mm: f64,
+    rms_deg: f64,
+    nis_per_degree: f64,
+    right: usize,
+    wrong: usize,
+}
+
+fn study(world: &World, mode: Mode, runs: usize) -> Study {
+    let all: Vec<Run> = (0..runs).map(|seed| run(world, mode, 5000 + seed as u64, 10)).collect();
+    let mean = |of: &dyn Fn(&Run) -> f64| all.iter().map(of).sum::<f64>() / runs as f64;
+    let degrees: usize = all.iter().map(|run| run.nis.1).sum();
+    Study {
+        nees: mean(&|run| run.nees),
+        rms_mm: 1e3 * mean(&|run| run.error.0 * run.error.0).sqrt(),
+        rms_deg: mean(&|run| run.error.1 * run.error.1).sqrt().to_degrees(),
+        nis_per_degree: all.iter().map(|run| run.nis.0).sum::<f64>() / degrees as f64,
+        right: all.iter().map(|run| run.right).sum(),
+        wrong: all.iter().map(|run| run.wrong).sum(),
+    }
+}
+
+#[test]
+#[ignore = "a campaign of a minute: tests/campaign/consistency.sh"]
+fn a_thousand_runs_of_both_modes() {
+    let world = furnished_room();
+    let runs = 1000;
+    for mode in [Mode::Full, Mode::Mip] {
+        let study = study(&world, mode, runs);
+        println!(
+            "{mode:?}: RMS {:.2} mm {:.4}°, NEES {:.2} (6 ± {:.2}), NIS per degree {:.3}, \
+             pairs {} right {} wrong",
+            study.rms_mm,
+            study.rms_deg,
+            study.nees,
+            band(6.0, runs),
+            study.nis_per_degree,
+            study.right,
+            study.wrong
+        );
+        if mode == Mode::Full {
+            assert!((study.nees - 6.0).abs() < band(6.0, runs), "{}", study.nees);
+            assert_eq!(study.wrong, 0);
+        } else {
+            // The paper's filter takes its map as exact and trusts every look at it as fresh truth.
+            assert!(study.nees > 6.0 + 3.0 * band(6.0, runs), "{}", study.nees);
+        }
+    }
+}
