@@ -276,7 +276,23 @@ mod tests {
     fn rectangle(x0: f64, y0: f64, x1: f64, y1: f64) -> PlaneMask {
         let corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)].map(|(x, y)| Point2::new(x, y));
         let mut builder = MaskBuilder::over(&corners).unwrap();
-        builder.insert_quadrilateral(&corners);
+        // Pieces shorter than what is filled between two points of a scan.
+        let pieces = |low: f64, high: f64| {
+            let count = ((high - low) / 0.4).ceil().max(1.0) as u32;
+            let step = (high - low) / f64::from(count);
+            (0..count).map(move |i| {
+                let from = low + step * f64::from(i);
+                (from, from + step)
+            })
+        };
+        for (left, right) in pieces(x0, x1) {
+            for (low, high) in pieces(y0, y1) {
+                builder.insert_quadrilateral(
+                    &[(left, low), (right, low), (right, high), (left, high)]
+                        .map(|(x, y)| Point2::new(x, y)),
+                );
+            }
+        }
         builder.finish()
     }
 

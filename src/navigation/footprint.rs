@@ -196,7 +196,7 @@ mod tests {
         let shape = RobotShape { length_m: 0.5, width_m: 0.7, ..RobotShape::default() };
         let footprint = Footprint::new(&shape, 0.1);
         let here = Pose2::default();
-        let ahead = here.driven(0.05, 0.0);
+        let ahead = here.driven(0.02, 0.0);
         // The row lies under the hull's left side, all along: only its part ahead is new.
         let grid = beside(CellClass::TooSteep);
         assert!(footprint.conflict(&grid, &here).is_some());

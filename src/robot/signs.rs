@@ -211,7 +211,9 @@ mod tests {
             let at = |tilt| line(HeadPose::tilted(tilt), ROOM, 100.0);
             let (down, up) = (at(0.2), at(-0.2));
             assert_eq!(tilt_sign(&view, (0.2, &down), (-0.2, &up)), SignVerdict::AsBelieved);
-            assert_eq!(tilt_sign(&view, (0.2, &up), (-0.2, &down)), SignVerdict::Inverted);
+            // A height supposed wrongly may leave it open, but never confirms the wrong sign.
+            let verdict = tilt_sign(&view, (0.2, &up), (-0.2, &down));
+            assert_ne!(verdict, SignVerdict::AsBelieved, "{origin_height_m}");
         }
     }
 
