@@ -3,4 +3,4 @@
 # tests/campaign/fleet.sh [MINUTES]
 set -eu
 cd "$(dirname "$0")/../.."
-USAR_FLEET_MINUTES=${1:-30} cargo test --release --test tests -- --nocapture session::fleet
+USAR_FLEET_MINUTES=${1:-30} cargo test --release --test fleet -- --nocapture

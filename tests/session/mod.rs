@@ -1,6 +1,5 @@
 //! Plain clients against the stand-in server, over real sockets on free ports.
 
-mod fleet;
 mod opening;
 mod operator;
 mod pictures;

@@ -1,4 +1,5 @@
-//! Eight robots in one world: nobody is forgotten, nothing grows.
+//! Eight robots in one world: nobody is forgotten, nothing grows. A binary of its own with one
+//! test, as the system counts the memory of a whole process.
 //!
 //! Two minutes of level time in the ordinary test; `tests/campaign/fleet.sh` asks for thirty.
 
