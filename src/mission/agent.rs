@@ -1,3 +1,5 @@
+//! The agent as a whole: phases of a session, from waiting for a link to the end of the mission.
+
 use super::config::AgentConfig;
 use super::event::{Action, Event, Outcome};
 use super::journal::{Journal, Level};
@@ -6,29 +8,15 @@ use super::opening::{Opening, OpeningStep, Placement};
 use super::operator::OperatorEvent;
 use super::resume::{Put, placeable};
 use super::running::{Desk, Running, Verdict};
-use crate::protocol::{Command, Dialect, Message, ProblemKind, WirePose, parse};
+use super::tally::Tally;
+use crate::protocol::{Command, Dialect, WirePose, parse};
 use crate::robot::{RigBuilder, core_pose};
 use crate::time::{Arrival, Span};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// Damaged lines in a row that end a session: whatever speaks there, it is not this protocol.
 const HOPELESS: usize = 1_000;
-
-/// What came over the link, counted.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Tally {
-    /// Lines read.
-    pub lines: usize,
-    /// Lines of a type that is not known, by their first word.
-    pub unknown: BTreeMap<String, usize>,
-    /// Damage, by kind.
-    pub problems: BTreeMap<ProblemKind, usize>,
-    /// The first few damaged places, quoted.
-    pub quoted: Vec<String>,
-    bad_in_a_row: usize,
-}
 
 /// The agent: a deterministic value that is told events and answers with actions.
 ///
@@ -484,25 +472,6 @@ impl Agent {
         self.phase = Phase::Ended(outcome.clone(), running);
         actions.push(Action::Finish(outcome));
         actions
-    }
-}
-
-impl Tally {
-    fn take(&mut self, line: &[u8], message: &Message, problems: &[crate::protocol::Problem]) {
-        const QUOTES: usize = 3;
-        self.lines += 1;
-        if let Message::Unknown(raw) = message {
-            *self.unknown.entry(raw.verb.clone()).or_default() += 1;
-        }
-        let lost = !problems.is_empty();
-        self.bad_in_a_row = if lost { self.bad_in_a_row + 1 } else { 0 };
-        for problem in problems {
-            if self.quoted.len() < QUOTES {
-                let start = String::from_utf8_lossy(&line[..line.len().min(60)]).into_owned();
-                self.quoted.push(format!("{}: `{start}`", problem.kind));
-            }
-            *self.problems.entry(problem.kind.clone()).or_default() += 1;
-        }
     }
 }
 

@@ -9,17 +9,11 @@ use super::observe::ObservedSweep;
 use super::operator::{DriveLease, Mode};
 use super::pilot::Pilot;
 use super::sign_test::SignTest;
-use crate::acquisition::{
-    Acquisition, HeadAction, HeadEvent, ParkState, Profile, Scan, SweepRequest,
-};
+use crate::acquisition::{Acquisition, HeadEvent, Profile, SweepRequest};
 use crate::exploration::{ExploreConfig, Explorer, FrontierLeft};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
-use crate::protocol::message::Sen;
-use crate::protocol::{Command, Message};
-use crate::robot::{
-    BodySpeed, HeadPose, HeadReading, InsReading, OdometryReading, Rig, WheelCount,
-};
-use crate::scan::LaserLine;
+use crate::protocol::Command;
+use crate::robot::{BodySpeed, Rig, WheelCount};
 use crate::terrain::{CellIndex, Grid, RobotShape};
 use crate::time::{Arrival, Span, Stamp};
 use crate::victims::{Candidate, Candidates, VictimConfig};
@@ -117,7 +111,7 @@ pub struct Running {
     pub(super) lease: DriveLease,
     pub(super) ledger: Ledger,
     pub(super) candidates: Candidates,
-    victim_config: VictimConfig,
+    pub(super) victim_config: VictimConfig,
     pub(super) frontiers_left: Vec<FrontierLeft>,
     /// Cells that the hull did not get past, and until when they are avoided.
     pub(super) shunned: Vec<(CellIndex, Arrival)>,
@@ -133,7 +127,7 @@ pub struct Running {
     pub(super) wheels: Option<PlanarPose>,
     pub(super) last_wheels: PlanarPose,
     pub(super) latest_stamp: Stamp,
-    first_scan_due: bool,
+    pub(super) first_scan_due: bool,
     pub(super) planar_lines: usize,
     pub(super) wheel_count: WheelCount,
     /// The sweep that is being watched in a recording of somebody else.
@@ -276,240 +270,13 @@ impl Running {
         self.candidates.confirmed(&self.victim_config)
     }
 
-    /// Takes in a message. Gives what it means for the mission.
-    pub(super) fn message(&mut self, message: &Message, desk: &mut Desk<'_>) -> Verdict {
-        if let Some(stamp) = message.time() {
-            let is_scanner = matches!(message, Message::Sen(Sen::RangeScanner(_)));
-            if !is_scanner {
-                self.latest_stamp = self.latest_stamp.max(stamp);
-                self.head_event(&HeadEvent::Stamped(stamp), desk);
-            }
-        }
-        match message {
-            Message::Sen(sensor) => self.sensor(sensor, desk),
-            Message::MisSta(state) => {
-                if let Some(reading) = self.rig.head_reading(state) {
-                    self.joints(reading, desk);
-                }
-            }
-            Message::AsTa(state) => {
-                if let Some(reading) = self.rig.actuator_reading(state) {
-                    self.joints(reading, desk);
-                }
-            }
-            Message::Sta(state) => {
-                self.battery_s = state.battery_s.or(self.battery_s);
-                // The last line of a UT2004 burst: what came without a time came at this one.
-                let stamp = state.time.unwrap_or(self.latest_stamp);
-                if let Some(wheels) = self.wheels.take() {
-                    self.take_wheels(wheels, stamp);
-                }
-                return self.cycle(desk);
-            }
-            _ => {}
-        }
-        Verdict::GoOn
-    }
-
-    fn sensor(&mut self, sensor: &Sen, desk: &mut Desk<'_>) {
-        match sensor {
-            Sen::Odometry(message) => {
-                self.wheel_count.retire();
-                let reading = self.rig.odometry(message);
-                self.take_odometry(&reading);
-            }
-            Sen::Tachometer(message) => {
-                if let Some(reading) = self.wheel_count.tachometer(message, &self.rig.drive) {
-                    self.take_odometry(&reading);
-                }
-            }
-            Sen::Ins(message) => self.take_attitude(&self.rig.ins(message)),
-            Sen::Inu(message) => self.take_attitude(&self.rig.inu(message)),
-            Sen::RangeScanner(message) => {
-                match self.rig.laser_line(message, Some(self.latest_stamp)) {
-                    Ok(line) if desk.config.mission.observe => self.observed_line(&line, desk),
-                    Ok(line) => self.line(&line, desk),
-                    Err(error) => desk.warn(format!("laser line not used: {error}")),
-                }
-            }
-            Sen::VictSensor(message) => {
-                let head = self.head_now();
-                let world_from_robot = self.belief.world_from_robot();
-                for seen in self.rig.victims(message, head) {
-                    let place = world_from_robot * seen.p_robot;
-                    self.candidates.sight(&seen.part, place, seen.distance_m);
-                }
-            }
-            _ => {}
-        }
-    }
-
-    fn take_attitude(&mut self, reading: &InsReading) {
-        self.belief.take_attitude(BodyAttitude {
-            roll_rad: reading.roll_rad,
-            pitch_rad: reading.pitch_rad,
-            heading_rad: reading.yaw_rad,
-        });
-    }
-
-    fn take_odometry(&mut self, reading: &OdometryReading) {
-        let wheels = PlanarPose {
-            x_m: reading.odom_from_robot.translation.x,
-            y_m: reading.odom_from_robot.translation.y,
-            heading_rad: reading.odom_from_robot.rotation.angle(),
-        };
-        match reading.stamp {
-            Some(stamp) => self.take_wheels(wheels, stamp),
-            None => self.wheels = Some(wheels),
-        }
-    }
-
-    fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
-        self.last_wheels = wheels;
-        self.belief.take_wheels(wheels, stamp);
-    }
-
-    fn joints(&mut self, reading: HeadReading, desk: &mut Desk<'_>) {
-        self.head_event(&HeadEvent::Joints(reading), desk);
-    }
-
-    /// The head's pose at the newest stamp, at zero where it is not known.
-    fn head_now(&self) -> HeadPose {
-        self.acquisition
-            .as_ref()
-            .and_then(|acquisition| acquisition.pose_at(self.latest_stamp))
-            .unwrap_or_default()
-    }
-
-    fn line(&mut self, line: &LaserLine, desk: &mut Desk<'_>) {
-        let Some(acquisition) = &self.acquisition else {
-            return self.planar_line(line);
-        };
-        let parked = acquisition.parked(desk.now);
-        if matches!(self.activity, Activity::SignTest(_)) {
-            self.head_event(&HeadEvent::Line(line), desk);
-            return self.sign_test_line(line, parked, desk);
-        }
-        let head = match parked {
-            ParkState::Computed { pose, .. } | ParkState::Verified { pose, .. } => Some(pose),
-            _ => None,
-        };
-        if let Some(pose) = head.filter(|_| parked.covers(line.stamp)) {
-            let robot_from_sensor = self.rig.robot_from_sensor(pose);
-            let world_from_robot = self.belief.world_from_robot();
-            self.pilot.watch(line, &robot_from_sensor, &world_from_robot, &self.grid, desk.now);
-            if !matches!(self.activity, Activity::Sweep | Activity::Settle { .. }) {
-                self.belief.take_line(line, &robot_from_sensor, pose.tilt_rad);
-            }
-        }
-        self.head_event(&HeadEvent::Line(line), desk);
-    }
-
-    /// A line of a laser that does not tilt: flat occupancy.
-    fn planar_line(&mut self, line: &LaserLine) {
-        let robot_from_sensor = self.rig.robot_from_sensor(HeadPose::default());
-        self.take_level_line(line, &robot_from_sensor);
-    }
-
-    /// A line at the laser's own height: flat occupancy.
-    pub(super) fn take_level_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) {
-        if self.belief.take_flat_line(line, robot_from_sensor) {
-            self.planar_lines += 1;
-        }
-    }
-
-    /// Hands an event to the acquisition and does what it asks.
-    pub(super) fn head_event(&mut self, event: &HeadEvent<'_>, desk: &mut Desk<'_>) {
-        let Some(acquisition) = &mut self.acquisition else { return };
-        let actions = acquisition.handle(event, desk.now);
-        self.head_actions(actions, desk);
-    }
-
-    pub(super) fn head_actions(&mut self, actions: Vec<HeadAction>, desk: &mut Desk<'_>) {
-        for action in actions {
-            match action {
-                HeadAction::Send(command) => {
-                    desk.out.extend(self.rig.head_commands(command.pan, command.tilt));
-                }
-                HeadAction::Filed { .. } => {}
-                HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
-                HeadAction::Calibrated(report) => {
-                    desk.info(format!("pan-tilt: {}", report.text));
-                    self.next_look_or_choose(desk);
-                }
-            }
-        }
-    }
-
-    /// A sweep has ended: everything it told enters the belief.
-    fn finish_sweep(&mut self, scan: Scan, desk: &mut Desk<'_>) {
-        self.ledger.sweep(&scan);
-        for remark in &scan.remarks {
-            desk.warn(format!("{} sweep: {remark}", scan.profile));
-        }
-        if std::mem::take(&mut self.first_scan_due) {
-            self.measure_floor(&scan, desk);
-        }
-        let (profile, filed, seconds) = (scan.profile.clone(), scan.filed, scan.seconds());
-        let budget = scan.budget.to_string();
-        let errors = crate::mapping::ScanErrors {
-            tilt_offset_sigma_rad: scan.errors.tilt_common_rad,
-            ..crate::mapping::ScanErrors::default()
-        };
-        let before = self.belief.world_from_robot();
-        let findings = self.belief.take_scan(scan.image, errors);
-        let after = self.belief.world_from_robot();
-        let counts = [findings.planes, findings.spheres, findings.cylinders];
-        for (sum, count) in self.ledger.surfaces.iter_mut().zip(counts) {
-            *sum += count;
-        }
-        self.ledger.associations += findings.update.associations.len();
-        let moved_m = (after.translation.vector - before.translation.vector).norm();
-        let turned = before.rotation.angle_to(&after.rotation).to_degrees();
-        desk.info(format!(
-            "{profile} sweep: {filed} rows in {seconds:.1} s ({budget}), {} planes ({} known, {} new), pose \
-             corrected by {moved_m:.3} m and {turned:.2}°",
-            findings.planes,
-            findings.update.associations.len(),
-            findings.update.added.len(),
-        ));
-        self.pilot.corrected(&before, &after);
-        if findings.update.loop_closed {
-            desk.info(format!(
-                "loop closed, {} earlier poses corrected",
-                findings.update.moved.len()
-            ));
-        }
-        self.refresh_grid(desk.now);
-        let pose = self.pose2();
-        self.explorer.swept(&self.grid, &pose, std::f64::consts::PI);
-        self.next_look_or_choose(desk);
-    }
-
-    /// Measures how high the robot's origin stands above the floor; no message tells it. The belief
-    /// is still empty then and is begun anew with the measured height.
-    fn measure_floor(&mut self, scan: &Scan, desk: &mut Desk<'_>) {
-        let guess_m = self.shape.base_above_floor_m;
-        let Some(height_m) = Belief::floor_below_m(&scan.image) else { return };
-        if (height_m - guess_m).abs() < 0.01 {
-            return;
-        }
-        desk.info(format!(
-            "the floor lies {height_m:.3} m below the robot's origin, not {guess_m:.3} m as supposed"
-        ));
-        self.rig.body.origin_height_m = height_m;
-        self.shape = shape_of(&self.rig);
-        self.belief.restart(self.shape.clone());
-        self.pilot = Pilot::new(desk.config, &self.rig, &self.shape);
-    }
-
     pub(super) fn refresh_grid(&mut self, now: Arrival) {
         self.grid = self.belief.grid();
         self.grid_made = now;
     }
 
     /// One control cycle: trouble first, then the operator, then whatever is being done.
-    fn cycle(&mut self, desk: &mut Desk<'_>) -> Verdict {
+    pub(super) fn cycle(&mut self, desk: &mut Desk<'_>) -> Verdict {
         if desk.config.mission.observe {
             return Verdict::GoOn;
         }

@@ -1,0 +1,155 @@
+//! Readings: what the server tells becomes motion, lines and candidates of the robot in service.
+
+use super::motion::{BodyAttitude, PlanarPose};
+use super::running::{Activity, Desk, Running, Verdict};
+use crate::acquisition::{HeadEvent, ParkState};
+use crate::protocol::Message;
+use crate::protocol::message::Sen;
+use crate::robot::{HeadPose, HeadReading, InsReading, OdometryReading};
+use crate::scan::LaserLine;
+use crate::time::Stamp;
+use nalgebra::Isometry3;
+
+impl Running {
+    /// Takes in a message. Gives what it means for the mission.
+    pub(super) fn message(&mut self, message: &Message, desk: &mut Desk<'_>) -> Verdict {
+        if let Some(stamp) = message.time() {
+            let is_scanner = matches!(message, Message::Sen(Sen::RangeScanner(_)));
+            if !is_scanner {
+                self.latest_stamp = self.latest_stamp.max(stamp);
+                self.head_event(&HeadEvent::Stamped(stamp), desk);
+            }
+        }
+        match message {
+            Message::Sen(sensor) => self.sensor(sensor, desk),
+            Message::MisSta(state) => {
+                if let Some(reading) = self.rig.head_reading(state) {
+                    self.joints(reading, desk);
+                }
+            }
+            Message::AsTa(state) => {
+                if let Some(reading) = self.rig.actuator_reading(state) {
+                    self.joints(reading, desk);
+                }
+            }
+            Message::Sta(state) => {
+                self.battery_s = state.battery_s.or(self.battery_s);
+                // The last line of a UT2004 burst: what came without a time came at this one.
+                let stamp = state.time.unwrap_or(self.latest_stamp);
+                if let Some(wheels) = self.wheels.take() {
+                    self.take_wheels(wheels, stamp);
+                }
+                return self.cycle(desk);
+            }
+            _ => {}
+        }
+        Verdict::GoOn
+    }
+
+    fn sensor(&mut self, sensor: &Sen, desk: &mut Desk<'_>) {
+        match sensor {
+            Sen::Odometry(message) => {
+                self.wheel_count.retire();
+                let reading = self.rig.odometry(message);
+                self.take_odometry(&reading);
+            }
+            Sen::Tachometer(message) => {
+                if let Some(reading) = self.wheel_count.tachometer(message, &self.rig.drive) {
+                    self.take_odometry(&reading);
+                }
+            }
+            Sen::Ins(message) => self.take_attitude(&self.rig.ins(message)),
+            Sen::Inu(message) => self.take_attitude(&self.rig.inu(message)),
+            Sen::RangeScanner(message) => {
+                match self.rig.laser_line(message, Some(self.latest_stamp)) {
+                    Ok(line) if desk.config.mission.observe => self.observed_line(&line, desk),
+                    Ok(line) => self.line(&line, desk),
+                    Err(error) => desk.warn(format!("laser line not used: {error}")),
+                }
+            }
+            Sen::VictSensor(message) => {
+                let head = self.head_now();
+                let world_from_robot = self.belief.world_from_robot();
+                for seen in self.rig.victims(message, head) {
+                    let place = world_from_robot * seen.p_robot;
+                    self.candidates.sight(&seen.part, place, seen.distance_m);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn take_attitude(&mut self, reading: &InsReading) {
+        self.belief.take_attitude(BodyAttitude {
+            roll_rad: reading.roll_rad,
+            pitch_rad: reading.pitch_rad,
+            heading_rad: reading.yaw_rad,
+        });
+    }
+
+    fn take_odometry(&mut self, reading: &OdometryReading) {
+        let wheels = PlanarPose {
+            x_m: reading.odom_from_robot.translation.x,
+            y_m: reading.odom_from_robot.translation.y,
+            heading_rad: reading.odom_from_robot.rotation.angle(),
+        };
+        match reading.stamp {
+            Some(stamp) => self.take_wheels(wheels, stamp),
+            None => self.wheels = Some(wheels),
+        }
+    }
+
+    fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
+        self.last_wheels = wheels;
+        self.belief.take_wheels(wheels, stamp);
+    }
+
+    fn joints(&mut self, reading: HeadReading, desk: &mut Desk<'_>) {
+        self.head_event(&HeadEvent::Joints(reading), desk);
+    }
+
+    /// The head's pose at the newest stamp, at zero where it is not known.
+    fn head_now(&self) -> HeadPose {
+        self.acquisition
+            .as_ref()
+            .and_then(|acquisition| acquisition.pose_at(self.latest_stamp))
+            .unwrap_or_default()
+    }
+
+    fn line(&mut self, line: &LaserLine, desk: &mut Desk<'_>) {
+        let Some(acquisition) = &self.acquisition else {
+            return self.planar_line(line);
+        };
+        let parked = acquisition.parked(desk.now);
+        if matches!(self.activity, Activity::SignTest(_)) {
+            self.head_event(&HeadEvent::Line(line), desk);
+            return self.sign_test_line(line, parked, desk);
+        }
+        let head = match parked {
+            ParkState::Computed { pose, .. } | ParkState::Verified { pose, .. } => Some(pose),
+            _ => None,
+        };
+        if let Some(pose) = head.filter(|_| parked.covers(line.stamp)) {
+            let robot_from_sensor = self.rig.robot_from_sensor(pose);
+            let world_from_robot = self.belief.world_from_robot();
+            self.pilot.watch(line, &robot_from_sensor, &world_from_robot, &self.grid, desk.now);
+            if !matches!(self.activity, Activity::Sweep | Activity::Settle { .. }) {
+                self.belief.take_line(line, &robot_from_sensor, pose.tilt_rad);
+            }
+        }
+        self.head_event(&HeadEvent::Line(line), desk);
+    }
+
+    /// A line of a laser that does not tilt: flat occupancy.
+    fn planar_line(&mut self, line: &LaserLine) {
+        let robot_from_sensor = self.rig.robot_from_sensor(HeadPose::default());
+        self.take_level_line(line, &robot_from_sensor);
+    }
+
+    /// A line at the laser's own height: flat occupancy.
+    pub(super) fn take_level_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) {
+        if self.belief.take_flat_line(line, robot_from_sensor) {
+            self.planar_lines += 1;
+        }
+    }
+}

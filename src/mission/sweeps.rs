@@ -1,0 +1,93 @@
+//! Sweeps: the head is served, and what a finished sweep tells enters the belief.
+
+use super::belief::Belief;
+use super::pilot::Pilot;
+use super::running::{Desk, Running, shape_of};
+use crate::acquisition::{HeadAction, HeadEvent, Scan};
+
+impl Running {
+    /// Hands an event to the acquisition and does what it asks.
+    pub(super) fn head_event(&mut self, event: &HeadEvent<'_>, desk: &mut Desk<'_>) {
+        let Some(acquisition) = &mut self.acquisition else { return };
+        let actions = acquisition.handle(event, desk.now);
+        self.head_actions(actions, desk);
+    }
+
+    pub(super) fn head_actions(&mut self, actions: Vec<HeadAction>, desk: &mut Desk<'_>) {
+        for action in actions {
+            match action {
+                HeadAction::Send(command) => {
+                    desk.out.extend(self.rig.head_commands(command.pan, command.tilt));
+                }
+                HeadAction::Filed { .. } => {}
+                HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
+                HeadAction::Calibrated(report) => {
+                    desk.info(format!("pan-tilt: {}", report.text));
+                    self.next_look_or_choose(desk);
+                }
+            }
+        }
+    }
+
+    /// A sweep has ended: everything it told enters the belief.
+    fn finish_sweep(&mut self, scan: Scan, desk: &mut Desk<'_>) {
+        self.ledger.sweep(&scan);
+        for remark in &scan.remarks {
+            desk.warn(format!("{} sweep: {remark}", scan.profile));
+        }
+        if std::mem::take(&mut self.first_scan_due) {
+            self.measure_floor(&scan, desk);
+        }
+        let (profile, filed, seconds) = (scan.profile.clone(), scan.filed, scan.seconds());
+        let budget = scan.budget.to_string();
+        let errors = crate::mapping::ScanErrors {
+            tilt_offset_sigma_rad: scan.errors.tilt_common_rad,
+            ..crate::mapping::ScanErrors::default()
+        };
+        let before = self.belief.world_from_robot();
+        let findings = self.belief.take_scan(scan.image, errors);
+        let after = self.belief.world_from_robot();
+        let counts = [findings.planes, findings.spheres, findings.cylinders];
+        for (sum, count) in self.ledger.surfaces.iter_mut().zip(counts) {
+            *sum += count;
+        }
+        self.ledger.associations += findings.update.associations.len();
+        let moved_m = (after.translation.vector - before.translation.vector).norm();
+        let turned = before.rotation.angle_to(&after.rotation).to_degrees();
+        desk.info(format!(
+            "{profile} sweep: {filed} rows in {seconds:.1} s ({budget}), {} planes ({} known, {} new), pose \
+             corrected by {moved_m:.3} m and {turned:.2}°",
+            findings.planes,
+            findings.update.associations.len(),
+            findings.update.added.len(),
+        ));
+        self.pilot.corrected(&before, &after);
+        if findings.update.loop_closed {
+            desk.info(format!(
+                "loop closed, {} earlier poses corrected",
+                findings.update.moved.len()
+            ));
+        }
+        self.refresh_grid(desk.now);
+        let pose = self.pose2();
+        self.explorer.swept(&self.grid, &pose, std::f64::consts::PI);
+        self.next_look_or_choose(desk);
+    }
+
+    /// Measures how high the robot's origin stands above the floor; no message tells it. The belief
+    /// is still empty then and is begun anew with the measured height.
+    fn measure_floor(&mut self, scan: &Scan, desk: &mut Desk<'_>) {
+        let guess_m = self.shape.base_above_floor_m;
+        let Some(height_m) = Belief::floor_below_m(&scan.image) else { return };
+        if (height_m - guess_m).abs() < 0.01 {
+            return;
+        }
+        desk.info(format!(
+            "the floor lies {height_m:.3} m below the robot's origin, not {guess_m:.3} m as supposed"
+        ));
+        self.rig.body.origin_height_m = height_m;
+        self.shape = shape_of(&self.rig);
+        self.belief.restart(self.shape.clone());
+        self.pilot = Pilot::new(desk.config, &self.rig, &self.shape);
+    }
+}
