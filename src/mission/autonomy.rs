@@ -357,7 +357,7 @@ impl Running {
                 self.look_here(desk);
             }
             Progress::Surprised(verdict) => {
-                desk.info(format!("guard line: {verdict:?}; looking again"));
+                desk.info(format!("guard line: {verdict}; looking again"));
                 self.explorer.give_up("the guard line saw what the map does not hold", desk.now);
                 self.look_here(desk);
             }

@@ -69,6 +69,32 @@ pub enum GuardVerdict {
     },
 }
 
+impl std::fmt::Display for GuardVerdict {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let side = |left_m: f64| match left_m {
+            left_m if left_m < -0.05 => format!(", {:.2} m right", -left_m),
+            left_m if left_m > 0.05 => format!(", {left_m:.2} m left"),
+            _ => String::new(),
+        };
+        match *self {
+            Self::Clear { ahead_m: Some(ahead_m) } => {
+                write!(f, "ground confirmed {ahead_m:.2} m ahead")
+            }
+            Self::Clear { ahead_m: None } => write!(f, "nothing new ahead"),
+            Self::Obstacle { ahead_m, left_m, rise_m } => {
+                write!(f, "something {rise_m:.2} m high {ahead_m:.2} m ahead{}", side(left_m))
+            }
+            Self::DropOff { ahead_m, left_m, depth_m: Some(depth_m) } => {
+                write!(f, "ground {depth_m:.2} m lower {ahead_m:.2} m ahead{}", side(left_m))
+            }
+            Self::DropOff { ahead_m, left_m, depth_m: None } => {
+                write!(f, "no ground {ahead_m:.2} m ahead{}", side(left_m))
+            }
+            Self::Blind { unread_m } => write!(f, "{unread_m:.2} m of the way unread"),
+        }
+    }
+}
+
 impl GuardVerdict {
     /// Whether the robot may go on.
     pub fn is_clear(&self) -> bool {

@@ -21,6 +21,9 @@ pub struct StuckConfig {
     pub gripping_share: f64,
     /// Motion without a command that counts as a push, in metres. (0, 1]
     pub push_m: f64,
+    /// Time in which a stopped robot may still roll out and its odometry lag behind, in seconds.
+    /// [0, 2]
+    pub coast_s: f64,
     /// Roll or pitch beyond which the robot may tip over, in radians. (0, 1.2]
     pub tilt_rad: f64,
 }
@@ -34,6 +37,7 @@ impl Default for StuckConfig {
             moving_share: 0.2,
             gripping_share: 0.35,
             push_m: 0.10,
+            coast_s: 1.0,
             tilt_rad: 0.47,
         }
     }
@@ -164,7 +168,12 @@ impl StuckDetector {
         };
         let still = self.samples.iter().skip(1).all(|sample| sample.command.is_stop());
         if still {
-            let moved_m = observed_m.unwrap_or(by_wheels_m);
+            let coasted = first.arrival + Span::from_seconds(config.coast_s);
+            let rest = self.samples.iter().find(|sample| sample.arrival >= coasted)?;
+            let moved_m = match (rest.observed, last.observed) {
+                (Some(a), Some(b)) => b.distance_m(&a.point()),
+                _ => last.odometry.distance_m(&rest.odometry.point()),
+            };
             return (moved_m > config.push_m).then_some(Trouble::Pushed { moved_m });
         }
         // A window with motion both ways has little net command: nothing to judge it by.
@@ -249,6 +258,30 @@ mod tests {
     #[test]
     fn leaning_too_far_is_reported_at_once() {
         assert!(matches!(run(AHEAD, (0.3, 0.0), None, 0.6), Some(Trouble::Tilted { .. })));
+    }
+
+    #[test]
+    fn rolling_out_after_a_stop_is_no_push() {
+        let mut detector = StuckDetector::new(StuckConfig::default());
+        let mut odometry = Pose2::default();
+        for step in 0..40 {
+            let (command, speed_mps) = match step {
+                0..20 => (AHEAD, 0.7),
+                // The brakes take a second and a half metre.
+                20..25 => (DriveCommand::STOP, 0.5),
+                _ => (DriveCommand::STOP, 0.0),
+            };
+            odometry = odometry.driven(0.2 * speed_mps, 0.0);
+            let trouble = detector.note(Motion {
+                arrival: Arrival::from_seconds(0.2 * f64::from(step)),
+                command,
+                odometry,
+                observed: None,
+                roll_rad: 0.0,
+                pitch_rad: 0.0,
+            });
+            assert_eq!(trouble, None, "step {step}");
+        }
     }
 
     #[test]
