@@ -224,8 +224,9 @@ impl Question<'_> {
         };
         let start = Assignment { pairing: true, ..Assignment::none(belief) };
         search.descend(0, start);
-        let most = search.most;
         let mut found = search.found;
+        // Not `search.most`: the set with most pairs may have lost its place to a likelier one.
+        let most = found.iter().map(|assignment| assignment.pairs.len()).max().unwrap_or(0);
         found.retain(|assignment| assignment.pairs.len() + slack >= most);
         found.sort_by(|a, b| b.score.total_cmp(&a.score));
         found.truncate(MOST_ASSIGNMENTS);

@@ -52,14 +52,18 @@ impl Running {
             *sum += count;
         }
         self.ledger.associations += findings.update.associations.len();
-        let moved_m = (after.translation.vector - before.translation.vector).norm();
+        let moved = (before.inverse() * after).translation.vector;
         let turned = before.rotation.angle_to(&after.rotation).to_degrees();
         desk.info(format!(
             "{profile} sweep: {filed} rows in {seconds:.1} s ({budget}), {} planes ({} known, {} new), pose \
-             corrected by {moved_m:.3} m and {turned:.2}°",
+             corrected by {:.3} m ({:.2} ahead, {:.2} left, {:.2} up) and {turned:.2}°",
             findings.planes,
             findings.update.associations.len(),
             findings.update.added.len(),
+            moved.norm(),
+            moved.x,
+            moved.y,
+            moved.z,
         ));
         self.pilot.corrected(&before, &after);
         if findings.update.loop_closed {
