@@ -9,6 +9,7 @@
 //! perturbations `[δt; δr]` in the world frame: the true pose has translation `t + δt` and rotation
 //! `exp(δr) R`.
 
+mod align;
 mod association;
 mod attitude;
 mod belief;
@@ -28,6 +29,7 @@ mod report;
 mod scan_errors;
 mod sight;
 
+pub use align::{AlignConfig, Alignment, align_line};
 pub use association::AssociationConfig;
 pub use full::{Full, FullConfig};
 pub use graph::GraphConfig;
@@ -42,6 +44,7 @@ pub use report::{
 };
 pub use scan_errors::{ScanErrors, ScanObservations, common_error_jacobian};
 
+use crate::scan::LaserLine;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
 
@@ -68,6 +71,8 @@ pub struct MapperConfig {
     pub mip: MipConfig,
     /// The full mode.
     pub full: FullConfig,
+    /// Lines taken between two scans, in the full mode.
+    pub align: AlignConfig,
 }
 
 /// Pose and map, fed with odometry and scans.
@@ -128,6 +133,36 @@ impl Mapper {
     /// all and a wide covariance.
     pub fn predict_with(&mut self, before_from_after: &Isometry3<f64>, covariance: &Matrix6<f64>) {
         self.motion.append_measured(before_from_after, covariance);
+    }
+
+    /// Corrects the motion since the last scan by a line that the resting laser at `robot_from_sensor`
+    /// took when the robot was at `now_from_then` in its frame of now. True if the pose changed.
+    ///
+    /// The paper's mode knows nothing of it. What the line says of the pose rests on landmarks that
+    /// the next scan sees again; the error that they share with it stands in
+    /// [`AlignConfig::landmark_sigma_m`], so that the scan is not taken for a second witness of it.
+    pub fn align(
+        &mut self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+        now_from_then: &Isometry3<f64>,
+    ) -> bool {
+        let config = self.config.align;
+        let due = self.motion.path_m >= config.every_m || self.motion.turn_rad >= config.every_rad;
+        if !config.enabled || !due || self.config.mode == Mode::Mip {
+            return false;
+        }
+        let (last, _) = self.last();
+        let turn = perturbation::second_jacobian(&last);
+        let covariance = turn * self.config.odometry.covariance(&self.motion) * turn.transpose();
+        let predicted = last * self.motion.before_from_after * now_from_then;
+        let found =
+            align_line(&config, self.landmarks(), &predicted, &covariance, robot_from_sensor, line);
+        let Some(found) = found else { return false };
+        let now = found.world_from_robot * now_from_then.inverse();
+        let covariance = turn.transpose() * found.covariance * turn;
+        self.motion = Motion::known(last.inverse() * now, covariance);
+        true
     }
 
     /// Takes in the attitude that an inertial unit measures now, roll and pitch of `Rz Ry Rx` with

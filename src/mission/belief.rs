@@ -308,6 +308,7 @@ impl Belief {
         if turn_rps > self.config.mapped_turn_rps {
             return false;
         }
+        let keyframe_from_robot = self.align(line, robot_from_sensor, keyframe_from_robot);
         let bearings = (0..line.len()).map(|beam| line.bearing_rad(beam)).collect();
         let mut image = RangeImage::new(*robot_from_sensor, bearings, line.max_range_m);
         let row = ImageRow {
@@ -320,6 +321,29 @@ impl Belief {
         self.live.integrate(&image, &(self.keyframe_pose() * keyframe_from_robot));
         self.leg.lines.push((keyframe_from_robot, self.leg.path_m, image));
         true
+    }
+
+    /// Lets a line taken at `keyframe_from_then` correct the pose; gives where it was taken by the
+    /// corrected one.
+    fn align(
+        &mut self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+        keyframe_from_then: Isometry3<f64>,
+    ) -> Isometry3<f64> {
+        let keyframe = self.keyframe_pose();
+        let before = self.keyframe_from_robot;
+        let now_from_then = before.inverse() * keyframe_from_then;
+        if !self.mapper.align(line, robot_from_sensor, &now_from_then) {
+            return keyframe_from_then;
+        }
+        let after = keyframe.inverse() * self.mapper.world_from_robot();
+        let correction = after * before.inverse();
+        for (_, pose) in &mut self.history {
+            *pose = correction * *pose;
+        }
+        self.keyframe_from_robot = after;
+        after * now_from_then
     }
 
     /// Maps a line of a fixed laser as flat occupancy (2D mode).
