@@ -187,7 +187,7 @@ impl HeadControl {
     }
 
     /// When the rays of a line were cast, as far as is known.
-    pub(super) fn cast_time(&self, line: &LaserLine) -> Stamp {
+    pub fn cast_time(&self, line: &LaserLine) -> Stamp {
         line.stamp + self.timing.line_lag
     }
 

@@ -13,6 +13,13 @@ const MOST_CANDIDATES: usize = 1500;
 /// A frontier this near to a goal's view is the one it is named after.
 const FACED_M: f64 = 6.0;
 
+/// Room beyond the turning circle that a place to look from should have, in metres: how far odometry
+/// and the follower may miss it.
+const SPARE_M: f64 = 0.15;
+
+/// What a place with less room is charged, in seconds: the risk of getting wedged there.
+const TIGHT_S: f64 = 15.0;
+
 /// A place from which to look.
 struct Candidate {
     cell: CellIndex,
@@ -20,6 +27,8 @@ struct Candidate {
     y_m: f64,
     way_m: f64,
     travel_s: f64,
+    /// There is hardly room to turn.
+    tight: bool,
     /// Upper bound of its worth per second.
     bound: f64,
 }
@@ -58,9 +67,12 @@ impl Explorer {
                 break;
             }
             tried += 1;
-            let Some(choice) = self.weigh(&mut view, &field, pose, candidate.cell, grid) else {
+            let Some(mut choice) = self.weigh(&mut view, &field, pose, candidate.cell, grid) else {
                 continue;
             };
+            if candidate.tight {
+                choice.seconds += TIGHT_S;
+            }
             if choice.gain_m2 >= self.config.least_gain_m2 && worth(&choice) > least {
                 best = Some(choice);
             }
@@ -111,21 +123,33 @@ impl Explorer {
         }
         let sums = view.unknown_sums();
         let turning_m = shape.circumscribed_radius_m();
+        let room_m = |cell: &CellIndex| f64::from(grid.get(*cell).room_m);
+        // A view pose must let the robot turn to its heading, and out of it again.
+        cells.retain(|cell| room_m(cell) >= turning_m);
         let mut candidates: Vec<Candidate> = cells
             .into_iter()
             .filter_map(|cell| {
                 let centre = grid.centre(cell);
                 let goal = Pose2 { x_m: centre.x, y_m: centre.y, yaw_rad: 0.0 };
-                // A view pose must let the robot turn to its heading.
-                if f64::from(grid.get(cell).room_m) < turning_m || !self.is_open(&goal, now) {
+                if !self.is_open(&goal, now) {
                     return None;
                 }
                 let way_m = field.cost_m(cell)?;
-                let travel_s = self.travel_s(pose, &goal, way_m);
+                let tight = room_m(&cell) < turning_m + SPARE_M;
+                let travel_s =
+                    self.travel_s(pose, &goal, way_m) + if tight { TIGHT_S } else { 0.0 };
                 let reach_m = self.config.view_range_m;
                 let bound_m2 = view.bound_m2(&sums, centre.x, centre.y, reach_m);
                 let bound = bound_m2 / (travel_s + self.config.scan_s);
-                Some(Candidate { cell, x_m: centre.x, y_m: centre.y, way_m, travel_s, bound })
+                Some(Candidate {
+                    cell,
+                    x_m: centre.x,
+                    y_m: centre.y,
+                    way_m,
+                    travel_s,
+                    tight,
+                    bound,
+                })
             })
             .collect();
         candidates.sort_by(|a, b| {

@@ -75,6 +75,21 @@ pub struct MapperConfig {
     pub align: AlignConfig,
 }
 
+/// Rows of x, y and heading in a perturbation of a pose.
+const PLANAR: [usize; 3] = [0, 1, 5];
+
+/// Standard deviation of what a line is not asked about, in metres and radians.
+const HELD_SIGMA: f64 = 1e-3;
+
+/// Copies the block of x, y and heading.
+fn copy_planar(from: &Matrix6<f64>, to: &mut Matrix6<f64>) {
+    for row in PLANAR {
+        for column in PLANAR {
+            to[(row, column)] = from[(row, column)];
+        }
+    }
+}
+
 /// Pose and map, fed with odometry and scans.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mapper {
@@ -160,7 +175,14 @@ impl Mapper {
             align_line(&config, self.landmarks(), &predicted, &covariance, robot_from_sensor, line);
         let Some(found) = found else { return false };
         let now = found.world_from_robot * now_from_then.inverse();
-        let covariance = turn.transpose() * found.covariance * turn;
+        let mut covariance = odometry;
+        for held in [2, 3, 4] {
+            for planar in PLANAR {
+                (covariance[(held, planar)], covariance[(planar, held)]) = (0.0, 0.0);
+            }
+        }
+        copy_planar(&found.covariance, &mut covariance);
+        let covariance = turn.transpose() * covariance * turn;
         self.motion = Motion::known(last.inverse() * now, covariance);
         true
     }

@@ -33,6 +33,15 @@ const PLANAR_LINES: usize = 5;
 /// A goal within this way is a turn in place.
 const STAYS_M: f64 = 0.3;
 
+/// The last resort that backs out over the own track.
+const BACK_OUT: u32 = 3;
+
+/// Rest of a robot that is cut off before it tries again.
+const CUT_OFF: Span = Span::from_millis(10_000);
+
+/// Track nearer than this says nothing of being cut off, in metres.
+const CUT_OFF_FROM_M: f64 = 1.0;
+
 /// Share of the ring about the start that must be known, as ground or as an obstacle, for the gap
 /// inside it to be assumed.
 const RING_SEEN: f64 = 0.85;
@@ -214,8 +223,31 @@ impl Running {
             self.activity = Activity::Rest { until: at };
             return Verdict::GoOn;
         }
+        if self.is_cut_off() {
+            desk.warn("cut off from where it came: trying to get back");
+            self.resorts = BACK_OUT;
+            self.activity = Activity::Rest { until: desk.now + CUT_OFF };
+            return Verdict::GoOn;
+        }
         desk.info(format!("nothing left to explore, {} frontiers stay", self.frontiers_left.len()));
         Verdict::Explored
+    }
+
+    /// Whether most of the ground that the robot drove over on its level can no longer be reached: it
+    /// came from there, so something in the map or in its own place is wrong, and nothing is explored.
+    fn is_cut_off(&self) -> bool {
+        let pose = self.pose2();
+        let driven: Vec<bool> = self
+            .pilot
+            .track()
+            .iter()
+            .filter(|crumb| crumb.distance_m(&pose.point()) > CUT_OFF_FROM_M)
+            .map(|crumb| self.grid.get(self.grid.cell_of(crumb.x_m, crumb.y_m)))
+            .filter(|cell| cell.class != CellClass::OtherLevel)
+            .map(|cell| cell.reachable)
+            .collect();
+        let lost = driven.iter().filter(|reachable| !**reachable).count();
+        2 * lost > driven.len()
     }
 
     /// What is tried before a place is left for explored: another look, looks to both other sides, and a
@@ -242,7 +274,7 @@ impl Running {
                 self.activity =
                     Activity::Drive(Drive { since: desk.now, path_m: 0.0, replans: REPLANS });
             }
-            3 => {
+            BACK_OUT => {
                 desk.info("nothing to go to: backing out to look from farther away");
                 let trouble = Trouble::Stuck { commanded: 0.0, moved: 0.0 };
                 let recovery = self.pilot.recover(desk.config, &trouble, &pose, desk.now);

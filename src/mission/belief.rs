@@ -5,12 +5,13 @@
 //! bent to fit, its lines enter the *settled* terrain where they really were taken, and the live
 //! terrain begins anew as a copy of it. So an error of odometry lasts one leg and no longer.
 
+use super::lines::PendingLine;
 use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
 use crate::geometry::lie::{se3_exp, se3_log};
 use crate::mapping::{
     Mapper, MapperConfig, ScanErrors, ScanObservations, UpdateReport, observations,
 };
-use crate::scan::{ImageRow, LaserLine, RangeImage, Return};
+use crate::scan::{RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
 use crate::time::Stamp;
@@ -106,17 +107,18 @@ pub struct ScanFindings {
 /// Pose, map and terrain.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Belief {
-    config: BeliefConfig,
-    mapper: Mapper,
+    pub(super) config: BeliefConfig,
+    pub(super) mapper: Mapper,
     #[serde(skip)]
     segmenter: Option<Segmenter>,
-    settled: Terrain,
-    live: Terrain,
+    pub(super) settled: Terrain,
+    pub(super) live: Terrain,
     motion: MotionTracker,
     /// Poses since the last keyframe, newest last.
-    history: VecDeque<(Stamp, Isometry3<f64>)>,
-    keyframe_from_robot: Isometry3<f64>,
-    leg: Leg,
+    pub(super) history: VecDeque<(Stamp, Isometry3<f64>)>,
+    pub(super) keyframe_from_robot: Isometry3<f64>,
+    pub(super) leg: Leg,
+    pub(super) pending: VecDeque<PendingLine>,
     track: Vec<TrackPoint>,
     archive: Vec<Archived>,
     start: Isometry3<f64>,
@@ -127,10 +129,10 @@ pub struct Belief {
 
 /// What was gathered since the last keyframe; places are relative to it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Leg {
-    poses: Vec<(Stamp, Isometry3<f64>, f64)>,
-    lines: Vec<(Isometry3<f64>, f64, RangeImage)>,
-    path_m: f64,
+pub(super) struct Leg {
+    pub(super) poses: Vec<(Stamp, Isometry3<f64>, f64)>,
+    pub(super) lines: Vec<(Isometry3<f64>, f64, RangeImage)>,
+    pub(super) path_m: f64,
 }
 
 impl Belief {
@@ -152,6 +154,7 @@ impl Belief {
             history: VecDeque::new(),
             keyframe_from_robot: Isometry3::identity(),
             leg: Leg::default(),
+            pending: VecDeque::new(),
             track: Vec::new(),
             archive: Vec::new(),
             start,
@@ -172,7 +175,7 @@ impl Belief {
         self.keyframe_pose() * self.keyframe_from_robot
     }
 
-    fn keyframe_pose(&self) -> Isometry3<f64> {
+    pub(super) fn keyframe_pose(&self) -> Isometry3<f64> {
         self.mapper.world_from_robot() * self.keyframe_from_robot.inverse()
     }
 
@@ -252,12 +255,14 @@ impl Belief {
             let pose = self.world_from_robot();
             self.live.drive_over(&pose);
         }
+        self.map_pending();
     }
 
     /// Forgets the wheels' origin: a new robot's odometry starts at zero.
     pub fn restart_wheels(&mut self) {
         self.motion.restart_wheels();
         self.history.clear();
+        self.pending.clear();
     }
 
     /// Takes in that the robot is at `world_from_robot` now though nothing measured how it came there:
@@ -275,91 +280,6 @@ impl Belief {
     /// Where the robot began.
     pub fn start(&self) -> &Isometry3<f64> {
         &self.start
-    }
-
-    /// Where the robot was at `stamp`, relative to the last keyframe, and how fast it turned then in
-    /// rad/s; `None` where no odometry surrounds it.
-    fn at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, f64)> {
-        let after = self.history.iter().position(|(at, _)| *at >= stamp)?;
-        let (late, pose_late) = self.history[after];
-        if after == 0 {
-            return (late == stamp).then_some((pose_late, 0.0));
-        }
-        let (early, pose_early) = self.history[after - 1];
-        let seconds = (late - early).seconds();
-        if seconds <= 0.0 {
-            return Some((pose_late, 0.0));
-        }
-        let tangent = se3_log(&(pose_early.inverse() * pose_late));
-        let share = (stamp - early).seconds() / seconds;
-        let turn_rps = tangent.fixed_rows::<3>(3).norm() / seconds;
-        Some((pose_early * se3_exp(&(tangent * share)), turn_rps))
-    }
-
-    /// Maps a line taken under way with the sensor at `robot_from_sensor`; false where the robot
-    /// turned too fast for it, or its place is not known yet.
-    pub fn take_line(
-        &mut self,
-        line: &LaserLine,
-        robot_from_sensor: &Isometry3<f64>,
-        tilt_rad: f64,
-    ) -> bool {
-        let Some((keyframe_from_robot, turn_rps)) = self.at(line.stamp) else { return false };
-        if turn_rps > self.config.mapped_turn_rps {
-            return false;
-        }
-        let keyframe_from_robot = self.align(line, robot_from_sensor, keyframe_from_robot);
-        let bearings = (0..line.len()).map(|beam| line.bearing_rad(beam)).collect();
-        let mut image = RangeImage::new(*robot_from_sensor, bearings, line.max_range_m);
-        let row = ImageRow {
-            tilt_rad,
-            tilt_sigma_rad: 0.0,
-            scan_from_sensor: Isometry3::identity(),
-            stamp: Some(line.stamp),
-        };
-        image.push_line(row, line);
-        self.live.integrate(&image, &(self.keyframe_pose() * keyframe_from_robot));
-        self.leg.lines.push((keyframe_from_robot, self.leg.path_m, image));
-        true
-    }
-
-    /// Lets a line taken at `keyframe_from_then` correct the pose; gives where it was taken by the
-    /// corrected one.
-    fn align(
-        &mut self,
-        line: &LaserLine,
-        robot_from_sensor: &Isometry3<f64>,
-        keyframe_from_then: Isometry3<f64>,
-    ) -> Isometry3<f64> {
-        let keyframe = self.keyframe_pose();
-        let before = self.keyframe_from_robot;
-        let now_from_then = before.inverse() * keyframe_from_then;
-        if !self.mapper.align(line, robot_from_sensor, &now_from_then) {
-            return keyframe_from_then;
-        }
-        let after = keyframe.inverse() * self.mapper.world_from_robot();
-        let correction = after * before.inverse();
-        for (_, pose) in &mut self.history {
-            *pose = correction * *pose;
-        }
-        self.keyframe_from_robot = after;
-        after * now_from_then
-    }
-
-    /// Maps a line of a fixed laser as flat occupancy (2D mode).
-    pub fn take_flat_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) -> bool {
-        let place = self.at(line.stamp).or_else(|| {
-            // A robot that has not moved is where it was.
-            (self.leg.path_m == 0.0).then_some((self.keyframe_from_robot, 0.0))
-        });
-        let Some((keyframe_from_robot, turn_rps)) = place else { return false };
-        if turn_rps > self.config.mapped_turn_rps {
-            return false;
-        }
-        let world_from_sensor = self.keyframe_pose() * keyframe_from_robot * robot_from_sensor;
-        self.live.integrate_line(line, &world_from_sensor);
-        self.settled.integrate_line(line, &world_from_sensor);
-        true
     }
 
     /// Takes in a finished sweep: segments it, corrects the pose by its planes, settles the leg that
@@ -386,6 +306,7 @@ impl Belief {
             self.mapper.attitude(attitude.roll_rad, attitude.pitch_rad, sigma);
         }
         let update = self.mapper.observe(&scan);
+        self.pending.clear();
         self.settle(&update, image);
         ScanFindings { planes, spheres, cylinders, update }
     }

@@ -11,6 +11,7 @@ mod config;
 mod event;
 mod journal;
 mod ledger;
+mod lines;
 mod looks;
 mod motion;
 mod observe;

@@ -99,6 +99,11 @@ impl Pilot {
         self.watch = Watch::default();
     }
 
+    /// The robot's own track, oldest first.
+    pub fn track(&self) -> &[Pose2] {
+        self.trail.crumbs()
+    }
+
     /// Carries the way back along when the robot's pose was corrected.
     pub fn corrected(&mut self, before: &Isometry3<f64>, after: &Isometry3<f64>) {
         self.trail.correct(before, after);

@@ -7,6 +7,9 @@ use std::f64::consts::TAU;
 /// Part of the grid's edge margin that the hull itself must keep: the rest is for tracking errors.
 const EDGE_SHARE: f64 = 0.7;
 
+/// A hull nearer to an edge than this does not move on any ground that it can be told of, in metres.
+const LEAST_GAP_M: f64 = 0.03;
+
 /// Width about the hull that a standing robot is taken to have tried with its wheels, in metres.
 const UNDER_M: f64 = 0.06;
 
@@ -83,7 +86,8 @@ impl Footprint {
     }
 
     /// The same for a robot that now stands at `standing`: what the map holds against the ground under
-    /// its hull is wrong or does no harm, and must not keep it from leaving. Edges always count.
+    /// its hull is wrong or does no harm, and must not keep it from leaving. Edges always count; where it
+    /// stands closer to one than the margin, it may leave as long as it gets no closer.
     pub fn conflict_from(
         &self,
         grid: &Grid,
@@ -98,6 +102,8 @@ impl Footprint {
         let (sin, cos) = pose.yaw_rad.sin_cos();
         let half_cell_m = 0.5 * grid.cell_m();
         let mut nearest: Option<(f64, Conflict)> = None;
+        // Distance from the standing hull to its nearest edge, once it is asked for.
+        let mut edge_gap_m: Option<f64> = None;
         for y in low.y..=high.y {
             for x in low.x..=high.x {
                 let cell = CellIndex { x, y };
@@ -121,9 +127,16 @@ impl Footprint {
                         let spare_m = if class == CellClass::Occupied { 0.0 } else { UNDER_M };
                         self.covers(standing, &centre, spare_m)
                     });
+                let mut leaving = || {
+                    let Some(standing) = standing.filter(|_| class.is_edge()) else { return false };
+                    let had_m = *edge_gap_m.get_or_insert_with(|| self.edge_gap_m(grid, standing));
+                    let gap_m = self.gap_m(pose, &centre);
+                    gap_m > LEAST_GAP_M + half_cell_m && gap_m >= had_m - 1e-6
+                };
                 if ahead_m <= self.half_length_m + margin_m
                     && aside_m <= self.half_width_m + margin_m
                     && !underneath
+                    && !leaving()
                 {
                     let away_m = dx.hypot(dy);
                     if nearest.is_none_or(|(least_m, _)| away_m < least_m) {
@@ -133,6 +146,27 @@ impl Footprint {
             }
         }
         nearest.map(|(_, conflict)| conflict)
+    }
+
+    /// Distance from the hull at `pose` to the centre of the nearest cell of an edge, within the margin.
+    fn edge_gap_m(&self, grid: &Grid, pose: &Pose2) -> f64 {
+        let reach_m = self.circumscribed_m + self.edge_margin_m;
+        let low = grid.cell_of(pose.x_m - reach_m, pose.y_m - reach_m);
+        let high = grid.cell_of(pose.x_m + reach_m, pose.y_m + reach_m);
+        (low.y..=high.y)
+            .flat_map(|y| (low.x..=high.x).map(move |x| CellIndex { x, y }))
+            .filter(|cell| grid.get(*cell).class.is_edge())
+            .map(|cell| self.gap_m(pose, &grid.centre(cell)))
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    /// Distance from the hull at `pose` to a point, in metres; zero within it.
+    fn gap_m(&self, pose: &Pose2, point: &Point2<f64>) -> f64 {
+        let (sin, cos) = pose.yaw_rad.sin_cos();
+        let (dx, dy) = (point.x - pose.x_m, point.y - pose.y_m);
+        let ahead_m = (cos * dx + sin * dy).abs() - self.half_length_m;
+        let aside_m = (cos * dy - sin * dx).abs() - self.half_width_m;
+        ahead_m.max(0.0).hypot(aside_m.max(0.0))
     }
 
     /// Whether the hull at `pose`, `spare_m` wider on each side, covers a point.
@@ -174,6 +208,24 @@ impl Footprint {
 mod tests {
     use super::*;
     use crate::terrain::GridCell;
+
+    #[test]
+    fn a_robot_closer_to_an_edge_than_the_margin_may_leave_it_but_not_near_it() {
+        // The edge begins 0.3 m to the left of the x axis: the margin to a hull 0.5 m wide is broken.
+        let grid = beside(CellClass::Suspect);
+        let shape = RobotShape { length_m: 0.5, width_m: 0.5, ..RobotShape::default() };
+        let footprint = Footprint::new(&shape, 0.15);
+        let standing = Pose2 { x_m: 0.5, y_m: 0.0, yaw_rad: 0.0 };
+        assert!(footprint.conflict(&grid, &standing).is_some());
+        let from = Some(&standing);
+        assert_eq!(footprint.conflict_from(&grid, &standing.driven(0.2, 0.0), from), None);
+        let away = Pose2 { y_m: -0.1, ..standing };
+        assert_eq!(footprint.conflict_from(&grid, &away, from), None);
+        let nearer = Pose2 { y_m: 0.02, ..standing };
+        assert!(footprint.conflict_from(&grid, &nearer, from).is_some());
+        // Turning brings a corner nearer.
+        assert!(footprint.turn_conflict(&grid, &standing, 0.5).is_some());
+    }
 
     /// Open ground with a row of cells of a class, its centres 0.325 m to the left of the x axis.
     fn beside(class: CellClass) -> Grid {

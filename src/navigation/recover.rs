@@ -7,6 +7,9 @@ use crate::terrain::{Grid, RobotShape};
 use crate::time::{Arrival, Span};
 use serde::{Deserialize, Serialize};
 
+/// Speed of creeping ahead in m/s: slow enough to stop within a cell.
+const EASE_MPS: f64 = 0.08;
+
 /// Bounds of each rung of the ladder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -19,6 +22,8 @@ pub struct RecoveryConfig {
     pub back_farther_m: f64,
     /// Speed of backing out in m/s. (0, 0.5]
     pub back_mps: f64,
+    /// Distance to creep straight ahead where there is no room to turn, in metres. [0.1, 1]
+    pub ease_m: f64,
     /// Turn to either side that is tried to get free, in radians. [0.1, 2]
     pub turn_rad: f64,
     /// Turn rate in rad/s. (0, 2]
@@ -34,6 +39,7 @@ impl Default for RecoveryConfig {
             back_m: 0.4,
             back_farther_m: 1.0,
             back_mps: 0.15,
+            ease_m: 0.3,
             turn_rad: 0.5,
             turn_rps: 0.3,
             rung_s: 8.0,
@@ -53,6 +59,8 @@ pub enum Rung {
     TurnLeft,
     /// Turn a little to the right, where there is room.
     TurnRight,
+    /// Creep straight ahead, where the ground is known: out of a place with no room to turn.
+    EaseAhead,
     /// Back out once more, farther.
     BackFarther,
 }
@@ -124,12 +132,28 @@ impl Recovery {
                     if moved_m >= 0.9 * goal_m {
                         return RecoveryStep::Recovered;
                     }
-                    let back = trail.back_out(pose, self.config.back_mps, self.config.turn_rps);
+                    let (mps, rps) = (self.config.back_mps, self.config.turn_rps);
+                    let back =
+                        trail.back_out(pose, mps, rps).or_else(|| trail.head_back(pose, mps, rps));
                     // Half the way is a success when the time or the track ends.
                     if (back.is_none() || !in_time) && moved_m >= 0.5 * goal_m {
                         return RecoveryStep::Recovered;
                     }
                     back.filter(|_| in_time)
+                }
+                Rung::EaseAhead => {
+                    let rest_m = self.config.ease_m - moved_m;
+                    if rest_m < 0.05 {
+                        return RecoveryStep::Recovered;
+                    }
+                    let steps = (rest_m / 0.05).ceil() as u32;
+                    let free = !self.leaning
+                        && in_time
+                        && (1..=steps).all(|step| {
+                            let ahead = pose.driven(0.05 * f64::from(step), 0.0);
+                            self.footprint.conflict_from(grid, &ahead, Some(pose)).is_none()
+                        });
+                    free.then_some(DriveCommand { linear_mps: EASE_MPS, angular_rps: 0.0 })
                 }
                 Rung::TurnLeft | Rung::TurnRight => {
                     let sign = if self.rung == Rung::TurnLeft { 1.0 } else { -1.0 };
@@ -153,7 +177,8 @@ impl Recovery {
                         Rung::Pause => Rung::BackOut,
                         Rung::BackOut => Rung::TurnLeft,
                         Rung::TurnLeft => Rung::TurnRight,
-                        Rung::TurnRight => Rung::BackFarther,
+                        Rung::TurnRight => Rung::EaseAhead,
+                        Rung::EaseAhead => Rung::BackFarther,
                         Rung::BackFarther => return RecoveryStep::GaveUp,
                     };
                     self.since = now;
@@ -228,8 +253,8 @@ mod tests {
     fn a_robot_that_cannot_move_gives_up_in_bounded_time() {
         let (end, seconds, rungs, _) = run(STUCK, &track(), 0.0);
         assert_eq!(end, RecoveryStep::GaveUp);
-        assert_eq!(rungs.len(), 5, "every rung was tried: {rungs:?}");
-        assert!(seconds < 40.0);
+        assert_eq!(rungs.len(), 6, "every rung was tried: {rungs:?}");
+        assert!(seconds < 48.0);
     }
 
     #[test]

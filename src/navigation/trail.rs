@@ -111,6 +111,26 @@ impl Trail {
     }
 }
 
+impl Trail {
+    /// The command that drives back along the track with the bow ahead, for a robot that has turned
+    /// round since; `None` where the track does not lie within 60° of its bow.
+    pub fn head_back(&self, pose: &Pose2, speed_mps: f64, turn_rps: f64) -> Option<DriveCommand> {
+        let lookahead_m = 0.25;
+        let target = self
+            .crumbs
+            .iter()
+            .rev()
+            .find(|crumb| crumb.distance_m(&pose.point()) >= lookahead_m)?;
+        let bow_rad = pose.bearing_rad(&target.point());
+        if bow_rad.abs() > PI / 3.0 {
+            return None;
+        }
+        let curvature = 2.0 * bow_rad.sin() / pose.distance_m(&target.point());
+        let command = DriveCommand { linear_mps: speed_mps, angular_rps: speed_mps * curvature };
+        Some(command.limited(speed_mps, turn_rps))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -125,6 +145,23 @@ mod tests {
             poses.push(pose);
         }
         (trail, poses)
+    }
+
+    #[test]
+    fn a_robot_that_turned_round_heads_back_over_its_track() {
+        let (mut trail, poses) = curve();
+        let mut pose = poses[poses.len() - 1].driven(0.0, PI);
+        assert_eq!(trail.back_out(&pose, 0.2, 0.8), None);
+        for _ in 0..90 {
+            let command = trail.head_back(&pose, 0.2, 0.8).expect("there is track left");
+            assert!(command.linear_mps > 0.0);
+            pose = pose.driven(command.linear_mps * 0.1, command.angular_rps * 0.1);
+            trail.note(&pose);
+            let away_m = poses.iter().map(|p| p.distance_m(&pose.point())).fold(9.0, f64::min);
+            assert!(away_m < 0.06, "{away_m} m off the track");
+        }
+        // Across the track there is no way to head.
+        assert_eq!(trail.head_back(&pose.driven(0.0, 1.6), 0.2, 0.8), None);
     }
 
     #[test]

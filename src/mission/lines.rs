@@ -1,0 +1,139 @@
+//! Lines taken between two sweeps: when and where, what they correct, and into the terrain with them.
+
+use super::belief::Belief;
+use crate::geometry::lie::{se3_exp, se3_log};
+use crate::scan::{ImageRow, LaserLine, RangeImage};
+use crate::time::Stamp;
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+
+/// Lines that wait for odometry at most.
+const MOST_PENDING: usize = 4;
+
+/// A line that waits for the odometry after it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct PendingLine {
+    line: LaserLine,
+    robot_from_sensor: Isometry3<f64>,
+    tilt_rad: f64,
+    cast: Stamp,
+    timed: bool,
+}
+
+impl Belief {
+    /// Where the robot was at `stamp`, relative to the last keyframe, and how fast it turned then in
+    /// rad/s; `None` where no odometry surrounds it.
+    fn at(&self, stamp: Stamp) -> Option<(Isometry3<f64>, f64)> {
+        let after = self.history.iter().position(|(at, _)| *at >= stamp)?;
+        let (late, pose_late) = self.history[after];
+        if after == 0 {
+            return (late == stamp).then_some((pose_late, 0.0));
+        }
+        let (early, pose_early) = self.history[after - 1];
+        let seconds = (late - early).seconds();
+        if seconds <= 0.0 {
+            return Some((pose_late, 0.0));
+        }
+        let tangent = se3_log(&(pose_early.inverse() * pose_late));
+        let share = (stamp - early).seconds() / seconds;
+        let turn_rps = tangent.fixed_rows::<3>(3).norm() / seconds;
+        Some((pose_early * se3_exp(&(tangent * share)), turn_rps))
+    }
+
+    /// Takes in a line of the resting laser at `robot_from_sensor` whose rays were cast at `cast`. It is
+    /// mapped once odometry tells where the robot was then; where the time is `timed` well enough for a
+    /// moving robot, it corrects the pose before.
+    pub fn take_line(
+        &mut self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+        tilt_rad: f64,
+        cast: Stamp,
+        timed: bool,
+    ) {
+        // A line that no odometry follows says where the robot still is.
+        if self.pending.len() == MOST_PENDING {
+            self.pending.pop_front();
+        }
+        self.pending.push_back(PendingLine {
+            line: line.clone(),
+            robot_from_sensor: *robot_from_sensor,
+            tilt_rad,
+            cast,
+            timed,
+        });
+        self.map_pending();
+    }
+
+    /// Maps the lines that odometry has caught up with.
+    pub(super) fn map_pending(&mut self) {
+        let Some((newest, _)) = self.history.back().copied() else { return };
+        while self.pending.front().is_some_and(|pending| pending.cast <= newest) {
+            if let Some(pending) = self.pending.pop_front() {
+                self.map_line(&pending);
+            }
+        }
+    }
+
+    /// Maps a line, unless the robot turned too fast for it.
+    fn map_line(&mut self, pending: &PendingLine) {
+        let PendingLine { line, robot_from_sensor, tilt_rad, cast, timed } = pending;
+        let Some((mut keyframe_from_robot, turn_rps)) = self.at(*cast) else { return };
+        if turn_rps > self.config.mapped_turn_rps {
+            return;
+        }
+        if *timed {
+            keyframe_from_robot = self.align(line, robot_from_sensor, keyframe_from_robot);
+        }
+        let bearings = (0..line.len()).map(|beam| line.bearing_rad(beam)).collect();
+        let mut image = RangeImage::new(*robot_from_sensor, bearings, line.max_range_m);
+        let row = ImageRow {
+            tilt_rad: *tilt_rad,
+            tilt_sigma_rad: 0.0,
+            scan_from_sensor: Isometry3::identity(),
+            stamp: Some(line.stamp),
+        };
+        image.push_line(row, line);
+        self.live.integrate(&image, &(self.keyframe_pose() * keyframe_from_robot));
+        self.leg.lines.push((keyframe_from_robot, self.leg.path_m, image));
+    }
+
+    /// Lets a line taken at `keyframe_from_then` correct the pose; gives where it was taken by the
+    /// corrected one.
+    fn align(
+        &mut self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+        keyframe_from_then: Isometry3<f64>,
+    ) -> Isometry3<f64> {
+        let keyframe = self.keyframe_pose();
+        let before = self.keyframe_from_robot;
+        let now_from_then = before.inverse() * keyframe_from_then;
+        if !self.mapper.align(line, robot_from_sensor, &now_from_then) {
+            return keyframe_from_then;
+        }
+        let after = keyframe.inverse() * self.mapper.world_from_robot();
+        let correction = after * before.inverse();
+        for (_, pose) in &mut self.history {
+            *pose = correction * *pose;
+        }
+        self.keyframe_from_robot = after;
+        after * now_from_then
+    }
+
+    /// Maps a line of a fixed laser as flat occupancy (2D mode).
+    pub fn take_flat_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) -> bool {
+        let place = self.at(line.stamp).or_else(|| {
+            // A robot that has not moved is where it was.
+            (self.leg.path_m == 0.0).then_some((self.keyframe_from_robot, 0.0))
+        });
+        let Some((keyframe_from_robot, turn_rps)) = place else { return false };
+        if turn_rps > self.config.mapped_turn_rps {
+            return false;
+        }
+        let world_from_sensor = self.keyframe_pose() * keyframe_from_robot * robot_from_sensor;
+        self.live.integrate_line(line, &world_from_sensor);
+        self.settled.integrate_line(line, &world_from_sensor);
+        true
+    }
+}
