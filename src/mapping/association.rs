@@ -70,9 +70,10 @@ pub(super) struct Assignment {
     pub(super) pairs: Vec<(usize, usize)>,
     /// Logarithm of how much better the pairs explain the observations than new planes would.
     pub(super) score: f64,
-    /// The same with no pair counting for more than [`MOST_PER_PAIR`]: what speaks for this place
-    /// against another. Built worlds repeat and align their surfaces, so that a pair fits to the
-    /// millimetre by chance far more often than planes strewn at random would.
+    /// The same with no pair's tightness counting for more than [`MOST_PER_PAIR`]: what speaks for
+    /// this place against another. Built worlds repeat and align their surfaces, so that a pair fits
+    /// to the millimetre by chance far more often than planes strewn at random would. What a pair
+    /// misses by counts in full: it is what the motion says against the place.
     pub(super) support: f64,
     /// The belief after the pairs.
     pub(super) belief: Belief,
@@ -121,8 +122,9 @@ const SETTLED_RAD: f64 = 0.0005;
 /// Two assignments differ when they put the robot this far apart.
 const APART_M: f64 = 0.10;
 const APART_RAD: f64 = 0.03;
-/// Most that one pair may say for a place: that it fits by chance once in twenty.
-const MOST_PER_PAIR: f64 = 3.0;
+/// Most that the tightness of one pair may say for a place. The misfit that a true pair has on average
+/// takes 3/2 of it; the rest says that a pair fits by chance once in twenty.
+const MOST_PER_PAIR: f64 = 4.5;
 /// Most assignments that are handed back.
 const MOST_ASSIGNMENTS: usize = 4;
 /// Difference of the distances of two landmarks below which neither is preferred.
@@ -352,9 +354,9 @@ impl Search<'_> {
             let (distance, plane) = (*distance, *plane);
             let mut next = so_far.clone();
             next.pairs.push((*observation, plane));
-            let ratio = log_ratio(distance, rows, self.config);
-            next.score += ratio;
-            next.support += ratio.min(MOST_PER_PAIR);
+            let log_determinant = rows.log_determinant();
+            next.score += log_ratio(distance, log_determinant, self.config);
+            next.support += tempered_ratio(distance, log_determinant, self.config);
             if !settled(&next.belief) {
                 self.question.absorb(&mut next.belief, *observation, plane);
             }
@@ -377,14 +379,38 @@ impl Search<'_> {
 
 /// How much better a landmark explains an observation than a plane that was never seen, which might
 /// lie anywhere within the limits of a comparison.
-fn log_ratio(distance_squared: f64, rows: &PairRows, config: &AssociationConfig) -> f64 {
+fn log_ratio(distance_squared: f64, log_determinant: f64, config: &AssociationConfig) -> f64 {
     let window = 2.0 * config.max_offset_m * (2.0 * config.max_angle_rad).powi(2);
-    let normaliser = 3.0 * std::f64::consts::TAU.ln() + rows.log_determinant();
+    let normaliser = 3.0 * std::f64::consts::TAU.ln() + log_determinant;
     window.ln() - 0.5 * (distance_squared + normaliser)
+}
+
+/// The same with the tightness of the pair limited and its misfit in full. Limiting the whole would
+/// make explanations equal that differ by what odometry has to be wrong by: a robot beside a stair
+/// could be a step higher, with the floor for the first tread.
+fn tempered_ratio(distance_squared: f64, log_determinant: f64, config: &AssociationConfig) -> f64 {
+    log_ratio(0.0, log_determinant, config).min(MOST_PER_PAIR) - 0.5 * distance_squared
 }
 
 fn settled(belief: &Belief) -> bool {
     let p = belief.pose_covariance();
     (0..3).all(|i| p[(i, i)] < SETTLED_M * SETTLED_M)
         && (3..6).all(|i| p[(i, i)] < SETTLED_RAD * SETTLED_RAD)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_misfit_speaks_against_a_place_however_tight_the_pair() {
+        let config = AssociationConfig::default();
+        // Offset and tilts to a thousandth: far beyond what tightness may say.
+        let tight = 1e-18_f64.ln();
+        assert!(log_ratio(9.0, tight, &config) > MOST_PER_PAIR);
+        let (fits, misses) =
+            (tempered_ratio(0.0, tight, &config), tempered_ratio(9.0, tight, &config));
+        assert!((fits - MOST_PER_PAIR).abs() < 1e-12);
+        assert!((fits - misses - 4.5).abs() < 1e-12);
+    }
 }

@@ -321,7 +321,9 @@ fn judge(
         .into_iter()
         .map(|(prepared, assignment, log_prior)| {
             let pose = assignment.belief.world_from_robot;
-            let refuted = estimate.contradiction(&pose, scan).share();
+            let covariance = assignment.belief.pose_covariance();
+            let variance = (0..3).map(|i| covariance[(i, i)]).fold(0.0, f64::max);
+            let refuted = estimate.contradiction(&pose, variance.sqrt(), scan).share();
             let score = assignment.support + log_prior - weight_of(refuted);
             let far = moves_far(predicted, &pose, FAR_M, FAR_RAD);
             Judged { prepared, assignment, score, refuted, far }

@@ -10,7 +10,10 @@ use nalgebra::{Isometry3, Point2, Point3, Vector3};
 /// Most points of one observation that are looked at.
 const SAMPLES_PER_PLANE: usize = 40;
 /// A point this far behind a landmark, and this much more per metre of range, was seen through it:
-/// what a predicted pose is wrong by must not count.
+/// what a pose is wrong by must not count. The first is for a pose that is known, to which its
+/// standard deviations add; the second is the most that they may make of it.
+const KNOWN_BEHIND_M: f64 = 0.05;
+const SIGMAS: f64 = 3.0;
 const BEHIND_M: f64 = 0.15;
 const BEHIND_PER_M: f64 = 0.015;
 /// A surface up to this far before a parallel one cannot be: that one was seen, square on, where it
@@ -40,20 +43,24 @@ impl Contradiction {
 }
 
 impl Estimate {
-    /// How many points of the scan lie behind landmarks when the robot stands at `world_from_robot`.
+    /// How many points of the scan lie behind landmarks when the robot stands at `world_from_robot`,
+    /// which is known to `sigma_m` in each direction: a pose that pairs have fixed is held to
+    /// centimetres, or a robot beside a stair could be a step of 0.18 m higher.
     ///
     /// Costs samples × landmarks about the scan; asked only where an association is in doubt.
     pub(super) fn contradiction(
         &self,
         world_from_robot: &Isometry3<f64>,
+        sigma_m: f64,
         scan: &ScanObservations,
     ) -> Contradiction {
+        let behind_m = (KNOWN_BEHIND_M + SIGMAS * sigma_m).min(BEHIND_M);
         let world_from_scan = world_from_robot * scan.robot_from_scan;
         let eye = Point3::from(world_from_scan.translation.vector);
         let hulls = scan.observations.iter().flat_map(Observation::hull_points);
         let around = hulls.map(|p| world_from_robot * p).chain([eye]);
         let walls: Vec<Wall<'_>> =
-            self.landmarks_about(around).filter_map(|l| Wall::facing(l, &eye)).collect();
+            self.landmarks_about(around).filter_map(|l| Wall::facing(l, &eye, behind_m)).collect();
         let mut found = Contradiction::default();
         for observation in &scan.observations {
             let world_from_plane = world_from_robot * observation.robot_from_plane;
@@ -76,16 +83,18 @@ struct Wall<'a> {
     landmark: &'a Landmark,
     plane_from_world: Isometry3<f64>,
     eye: Point3<f64>,
+    behind_m: f64,
 }
 
 impl<'a> Wall<'a> {
-    fn facing(landmark: &'a Landmark, eye: &Point3<f64>) -> Option<Self> {
+    fn facing(landmark: &'a Landmark, eye: &Point3<f64>, behind_m: f64) -> Option<Self> {
         let plane_from_world = landmark.world_from_plane.inverse();
         let eye = plane_from_world * eye;
         (eye.z > BEHIND_M && !landmark.mask.is_empty()).then_some(Self {
             landmark,
             plane_from_world,
             eye,
+            behind_m,
         })
     }
 
@@ -94,7 +103,7 @@ impl<'a> Wall<'a> {
         let target = self.plane_from_world * point;
         let ray = target - self.eye;
         let range = ray.norm();
-        let margin = BEHIND_M + BEHIND_PER_M * range;
+        let margin = self.behind_m + BEHIND_PER_M * range;
         let solid =
             |x: f64, y: f64| self.landmark.mask.solid_about(&Point2::new(x, y), SOLID_CELLS);
         if target.z > margin && target.z < DOUBLED_M {
