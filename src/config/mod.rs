@@ -225,9 +225,8 @@ fn remove_from_tables(items: &mut DeArray<'_>, span: &Range<usize>) -> Option<St
     let whole = items.iter().position(|item| {
         matches!(item.get_ref(), DeValue::Table(_)) && covers(&item.span(), span)
     })?;
-    let all = std::mem::replace(items, DeArray::default());
-    *items =
-        all.into_iter().enumerate().filter(|(at, _)| *at != whole).map(|(_, item)| item).collect();
+    let others = items.iter().enumerate().filter(|(at, _)| *at != whole);
+    *items = others.map(|(_, item)| item.clone()).collect();
     Some(String::new())
 }
 
