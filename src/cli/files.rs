@@ -38,6 +38,11 @@ pub fn write_stdout(text: &str) -> Result<()> {
     }
 }
 
+/// Prints to standard error. A terminal that has gone must not end a run, as `eprint!` would.
+pub fn write_stderr(text: std::fmt::Arguments<'_>) {
+    let _ = std::io::stderr().write_fmt(text);
+}
+
 /// The middle value, the upper of two; zero of none.
 pub fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();

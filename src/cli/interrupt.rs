@@ -22,27 +22,7 @@ impl Interrupt {
 /// Where no signal can be watched it is never done, and Ctrl-C ends the program as it would without
 /// us.
 pub async fn asked_to_stop() {
-    #[cfg(unix)]
-    let terminated = async {
-        use tokio::signal::unix::{SignalKind, signal};
-        match signal(SignalKind::terminate()) {
-            Ok(mut signals) => {
-                signals.recv().await;
-            }
-            Err(_) => std::future::pending().await,
-        }
-    };
-    #[cfg(not(unix))]
-    let terminated = std::future::pending();
-    let interrupted = async {
-        if tokio::signal::ctrl_c().await.is_err() {
-            std::future::pending::<()>().await;
-        }
-    };
-    tokio::select! {
-        () = interrupted => {}
-        () = terminated => {}
-    }
+    told_to_end().await;
     tokio::spawn(async {
         if tokio::signal::ctrl_c().await.is_ok() {
             std::process::exit(130);
@@ -50,8 +30,60 @@ pub async fn asked_to_stop() {
     });
 }
 
-/// Watches for Ctrl-C on a thread of its own. Where no signal can be watched, Ctrl-C ends the
-/// program at once, as it would without us.
+/// Done at Ctrl-C, or when the system asks the program to end.
+async fn told_to_end() {
+    let interrupted = async {
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    };
+    tokio::select! {
+        () = interrupted => {}
+        () = terminated() => {}
+    }
+}
+
+/// Done at SIGTERM, and when the terminal is closed unless that was to be ignored, as `nohup` has it.
+#[cfg(unix)]
+async fn terminated() {
+    use tokio::signal::unix::{SignalKind, signal};
+    let sent = |kind: SignalKind| async move {
+        match signal(kind) {
+            Ok(mut signals) => {
+                signals.recv().await;
+            }
+            Err(_) => std::future::pending().await,
+        }
+    };
+    let hung_up = async {
+        if hangup_is_ignored() {
+            std::future::pending::<()>().await;
+        }
+        sent(SignalKind::hangup()).await;
+    };
+    tokio::select! {
+        () = sent(SignalKind::terminate()) => {}
+        () = hung_up => {}
+    }
+}
+
+#[cfg(not(unix))]
+async fn terminated() {
+    std::future::pending().await
+}
+
+/// Whether whoever started the program had SIGHUP, signal 1, ignored. Where that cannot be known it
+/// was not.
+#[cfg(unix)]
+fn hangup_is_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask & 1 != 0)
+}
+
+/// Watches for Ctrl-C on a thread of its own, and for the system asking the program to end. Where no
+/// signal can be watched, Ctrl-C ends the program at once, as it would without us.
 pub fn watch() -> Interrupt {
     let interrupt = Interrupt::default();
     let flag = interrupt.clone();
@@ -59,9 +91,7 @@ pub fn watch() -> Interrupt {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let Ok(runtime) = runtime else { return };
         runtime.block_on(async move {
-            if tokio::signal::ctrl_c().await.is_err() {
-                return;
-            }
+            told_to_end().await;
             flag.0.store(true, Ordering::Relaxed);
             if tokio::signal::ctrl_c().await.is_ok() {
                 std::process::exit(130);

@@ -1,6 +1,6 @@
 //! `usar mission`: one mission headless, agents and simulator in lockstep.
 
-use super::files::write_stdout;
+use super::files::{write_stderr, write_stdout};
 use super::out::RunFolder;
 use crate::driver::simulated::{MissionResult, SimulatedMission};
 use crate::export::report::Report;
@@ -156,7 +156,7 @@ fn show<W: std::io::Write>(
     let journal = mission.agent().journal();
     for note in journal.since(seen) {
         if progress == Progress::Lively || note.level > Level::Info {
-            eprintln!("\r{:8.1} s  {}", note.arrival.seconds(), note.text);
+            write_stderr(format_args!("\r{:8.1} s  {}\n", note.arrival.seconds(), note.text));
         }
     }
     journal.len()
@@ -165,14 +165,14 @@ fn show<W: std::io::Write>(
 fn status_line<W: std::io::Write>(mission: &SimulatedMission<W>, limit_s: f64) {
     let Some(running) = mission.agent().running() else { return };
     let p = running.belief().world_from_robot().translation.vector;
-    eprint!(
+    write_stderr(format_args!(
         "\r{:8.1} / {limit_s:.0} s  at ({:.1}, {:.1}), {:.0} m driven, {} landmarks ",
         mission.now().seconds(),
         p.x,
         p.y,
         running.belief().path_m(),
         running.belief().mapper().landmarks().len(),
-    );
+    ));
     let _ = std::io::stderr().flush();
 }
 

@@ -1,6 +1,6 @@
 //! `usar run`: the agent against any USARSim server.
 
-use super::files::write_stdout;
+use super::files::{write_stderr, write_stdout};
 use super::interrupt;
 use super::keys::{self, Keyboard};
 use super::mission::{positive_seconds, summary};
@@ -202,7 +202,7 @@ async fn live(arguments: &RunArguments, config: AgentConfig) -> Result<ExitCode>
     let ended = live.run(link).await;
     drop(keyboard);
     signals.abort();
-    eprintln!();
+    write_stderr(format_args!("\n"));
     let MissionResult { mut report, files } = {
         let level = host.agent().level().unwrap_or("live").to_owned();
         results(host.agent(), host.bystander(), &level, 0)
@@ -256,7 +256,11 @@ impl Screen {
         for note in journal.since(self.seen) {
             let (back, end) =
                 if std::io::stderr().is_terminal() { ("\r", "\x1b[K\r\n") } else { ("", "\n") };
-            eprint!("{back}{:8.1} s  {}{end}", note.arrival.seconds(), note.text);
+            write_stderr(format_args!(
+                "{back}{:8.1} s  {}{end}",
+                note.arrival.seconds(),
+                note.text
+            ));
         }
         self.seen = journal.len();
         if now.seconds() - self.shown_s < 1.0 || !std::io::stderr().is_terminal() {
@@ -266,7 +270,7 @@ impl Screen {
         let Some(running) = agent.running() else { return };
         let pose = running.belief().world_from_robot();
         let p = pose.translation.vector;
-        eprint!(
+        write_stderr(format_args!(
             "\r{:8.1} s  at ({:.2}, {:.2}) heading {:.0}°, {:.1} m driven, {} landmarks\x1b[K",
             agent.mission_time().seconds(),
             p.x,
@@ -274,7 +278,7 @@ impl Screen {
             pose.rotation.euler_angles().2.to_degrees(),
             running.belief().path_m(),
             running.belief().mapper().landmarks().len(),
-        );
+        ));
         let _ = std::io::stderr().flush();
     }
 }

@@ -126,7 +126,8 @@ fn log_to_stderr() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    let log = log.with_ansi(std::io::stderr().is_terminal());
+    // A terminal that has gone must not end the server: what cannot be logged is lost.
+    let log = log.with_ansi(std::io::stderr().is_terminal()).log_internal_errors(false);
     // Where a log is set up already, that one serves.
     let _ = log.without_time().with_target(false).try_init();
 }

@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 use std::fmt;
 use std::ops::Range;
 use toml::Spanned;
-use toml::de::{DeTable, DeValue};
+use toml::de::{DeArray, DeTable, DeValue};
 
 /// One thing wrong with a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -164,19 +164,20 @@ fn deserialize_all<T: DeserializeOwned>(
             Ok(_) => break,
             Err(error) => error,
         };
-        // A key that was taken out for its wrong type is not missing as well.
+        // A key that was taken out for its wrong type is not missing as well, nor is one that stands
+        // there misspelt.
         let missing = quoted_after(error.message(), "missing field ");
-        if missing.is_some_and(|key| removed.iter().any(|gone| gone == key)) {
-            break;
+        if !missing.is_some_and(|key| removed.iter().any(|gone| gone == key)) {
+            let message = with_nearest_key(error.message());
+            removed.extend(quoted_after(&message, "did you mean ").map(str::to_owned));
+            mistakes.push(Mistake { line: line_of(text, error.span()), message });
         }
-        let message = with_nearest_key(error.message());
-        // Nor is one that stands there misspelt.
-        removed.extend(quoted_after(&message, "did you mean ").map(str::to_owned));
-        mistakes.push(Mistake { line: line_of(text, error.span()), message });
-        let Some(span) = error.span() else { break };
-        if missing.is_some() {
+        // A table that lacks a key goes as a whole, so that what stands after it is read; the
+        // outermost is read already.
+        let Some(span) = error.span().filter(|span| missing.is_none() || *span != table.span())
+        else {
             break;
-        }
+        };
         let Some(key) = remove_innermost(table.get_mut(), &span) else { break };
         removed.push(key);
     }
@@ -186,7 +187,7 @@ fn deserialize_all<T: DeserializeOwned>(
 
 /// Takes the deepest entry whose key or value covers `span` out of the table; gives its key.
 fn remove_innermost(table: &mut DeTable<'_>, span: &Range<usize>) -> Option<String> {
-    let covers = |outer: Range<usize>| outer.start <= span.start && span.end <= outer.end;
+    let covers = |outer: Range<usize>| covers(&outer, span);
     let mut hit = None;
     for (key, value) in table.iter_mut() {
         if covers(key.span()) {
@@ -195,10 +196,7 @@ fn remove_innermost(table: &mut DeTable<'_>, span: &Range<usize>) -> Option<Stri
         }
         let deeper = match value.get_mut() {
             DeValue::Table(inner) => remove_innermost(inner, span),
-            DeValue::Array(items) => items.iter_mut().find_map(|item| match item.get_mut() {
-                DeValue::Table(inner) => remove_innermost(inner, span),
-                _ => None,
-            }),
+            DeValue::Array(items) => remove_from_tables(items, span),
             _ => None,
         };
         if deeper.is_some() {
@@ -212,6 +210,28 @@ fn remove_innermost(table: &mut DeTable<'_>, span: &Range<usize>) -> Option<Stri
     let key = hit?;
     table.remove(key.as_str());
     Some(key)
+}
+
+/// Takes the entry out of the table of an array that has it, or that whole table if `span` is its own;
+/// gives the entry's key, nothing for a table.
+fn remove_from_tables(items: &mut DeArray<'_>, span: &Range<usize>) -> Option<String> {
+    let entry = items.iter_mut().find_map(|item| match item.get_mut() {
+        DeValue::Table(inner) => remove_innermost(inner, span),
+        _ => None,
+    });
+    if entry.is_some() {
+        return entry;
+    }
+    let whole = items.iter().position(|item| {
+        matches!(item.get_ref(), DeValue::Table(_)) && covers(&item.span(), span)
+    })?;
+    let others = items.iter().enumerate().filter(|(at, _)| *at != whole);
+    *items = others.map(|(_, item)| item.clone()).collect();
+    Some(String::new())
+}
+
+fn covers(outer: &Range<usize>, span: &Range<usize>) -> bool {
+    outer.start <= span.start && span.end <= outer.end
 }
 
 /// The text between the first pair of back-ticks after `marker`.
@@ -335,6 +355,29 @@ mod tests {
     #[test]
     fn a_misspelt_key_is_not_also_missing() {
         assert_eq!(lines("sed = 1\n"), ["f.toml:1: unknown key `sed`, did you mean `seed`?"]);
+    }
+
+    #[test]
+    fn a_table_that_lacks_a_key_does_not_hide_what_stands_after_it() {
+        #[derive(Debug, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        #[expect(dead_code, reason = "only its mistakes are read")]
+        struct Fleet {
+            robot: Vec<Member>,
+            seed: u64,
+        }
+        #[derive(Debug, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        #[expect(dead_code, reason = "only its mistakes are read")]
+        struct Member {
+            class: String,
+        }
+        let found = |text: &str| {
+            let error = read_plain::<Fleet>("f", text).unwrap_err();
+            error.mistakes.into_iter().map(|mistake| mistake.line.unwrap()).collect::<Vec<_>>()
+        };
+        assert_eq!(found("sed = 1\n[[robot]]\nklass = \"A\"\n[[robot]]\nclass = 5\n"), [1, 3, 5]);
+        assert_eq!(found("[[robot]]\n[[robot]]\nwheels = 1\nclass = \"A\"\n"), [1, 1, 3]);
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::mission::{Agent, Event};
 use crate::protocol::command::Drive;
 use crate::protocol::{Command, Dialect, encode_command};
 use crate::time::Arrival;
+use std::any::Any;
 use std::future::pending;
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -110,7 +111,7 @@ impl<'a, W: Write, F: FnMut(&Agent, Arrival)> Live<'a, W, F> {
     ///
     /// # Panics
     ///
-    /// When the agent does; the wheels are stopped first.
+    /// When the agent or `watch` does; the wheels are stopped first.
     pub async fn run(mut self, link: TcpLink) -> Result<(), LiveError> {
         let result = self.session(link).await;
         self.close().await;
@@ -244,14 +245,20 @@ impl<'a, W: Write, F: FnMut(&Agent, Arrival)> Live<'a, W, F> {
                 self.stop_wheels(dialect).await;
                 return Err(error.into());
             }
-            Err(panic) => {
-                self.stop_wheels(dialect).await;
-                self.close().await;
-                resume_unwind(panic);
-            }
+            Err(panic) => self.abandon(dialect, panic).await,
         };
-        (self.watch)(self.host.agent(), self.now);
+        let watched = catch_unwind(AssertUnwindSafe(|| (self.watch)(self.host.agent(), self.now)));
+        if let Err(panic) = watched {
+            self.abandon(dialect, panic).await;
+        }
         Ok(self.send(&lines.concat()).await)
+    }
+
+    /// Passes a panic on when the wheels have been told to stop.
+    async fn abandon(&mut self, dialect: Dialect, panic: Box<dyn Any + Send>) -> ! {
+        self.stop_wheels(dialect).await;
+        self.close().await;
+        resume_unwind(panic)
     }
 
     async fn send(&mut self, octets: &[u8]) -> Result<(), LinkError> {

@@ -189,7 +189,6 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "known defect: a second misspelt key of a scenario shows only once the first is mended"]
     fn mistakes_of_scenario_and_map_come_together() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.toml");

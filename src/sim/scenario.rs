@@ -1,8 +1,15 @@
 //! Scenario files: which world, which robots, how long, how noisy, and what goes wrong.
 
+mod fault;
+mod robot;
+
+pub use fault::{FaultKind, FaultSpec};
+pub use robot::RobotSpec;
+pub(crate) use robot::link_of_mount;
+
 use super::catalogue::{RobotCatalogue, RobotClass};
 use super::file_check::{Check, SpecError, read_toml};
-use super::spec::{PanTiltSpec, SensorSpec, wire_name};
+use super::spec::wire_name;
 use super::vehicle::Motion;
 use super::world::World;
 use crate::protocol::Dialect;
@@ -112,32 +119,6 @@ impl std::fmt::Display for PhaseName {
     }
 }
 
-/// One robot of the scenario.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RobotSpec {
-    /// Name, unique, as INIT gives it.
-    pub name: String,
-    /// Class, from the robot file.
-    pub class: String,
-    /// Start pose of the map; absent means the map's first, or the origin if it has none.
-    #[serde(default)]
-    pub start: Option<String>,
-    /// Seconds that the battery lasts, > 0; absent means the class's.
-    #[serde(default)]
-    pub battery_s: Option<f64>,
-    /// Pan-tilt units instead of the class's; what a unit leaves out comes from the class's unit of
-    /// that name.
-    #[serde(default)]
-    pub pan_tilt: Option<Vec<PanTiltSpec>>,
-    /// Sensors: those given replace all of the class's sensors of the same types.
-    #[serde(default, rename = "sensor")]
-    pub sensors: Vec<SensorSpec>,
-    /// Whether the class's sensors of other types stay.
-    #[serde(default = "yes")]
-    pub class_sensors: bool,
-}
-
 /// Amplitudes of the noises; zero switches one off.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -173,74 +154,12 @@ impl Default for NoiseSpec {
     }
 }
 
-/// Something that goes wrong.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FaultSpec {
-    /// Seconds after the session began.
-    pub at_s: f64,
-    /// How many seconds it lasts; absent means to the end. Sudden kinds ignore it.
-    #[serde(default)]
-    pub for_s: Option<f64>,
-    /// The robot it befalls; absent means all.
-    #[serde(default)]
-    pub robot: Option<String>,
-    /// What happens.
-    pub kind: FaultKind,
-    /// What it happens to, by kind: a verb, sensor type or sensor name; a package; `left` or
-    /// `right`; a direction.
-    #[serde(default)]
-    pub what: Option<String>,
-    /// How much, by kind.
-    #[serde(default)]
-    pub value: Option<f64>,
-}
-
-/// Kinds of faults. The first seven happen between the session and the connection.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum FaultKind {
-    /// Lines are lost, with probability `value` (1).
-    Drop,
-    /// Lines come `value` (0.5) seconds late.
-    Delay,
-    /// Lines come twice, with probability `value` (1).
-    Duplicate,
-    /// Lines come in two pieces, the second `value` (0.05) seconds late.
-    Split,
-    /// One octet in each line is another, with probability `value` (1).
-    Garble,
-    /// Nothing comes; all of it comes when the fault ends.
-    Stall,
-    /// The connection closes.
-    Disconnect,
-    /// The sensors whose type or name is `what` (all) fall silent.
-    SensorLoss,
-    /// The tilt of unit `what` (all) stays where it is.
-    TiltStuck,
-    /// The tilt moves within ± `value` radians only.
-    TiltLimits,
-    /// The wheels of side `what` (both) are blocked.
-    WheelStuck,
-    /// Odometry reports `value` times the distance.
-    OdometryScale,
-    /// Stamps are `value` seconds off.
-    ClockJump,
-    /// The body gets a push of `value` (1) m/s towards `what`: `forward`, `back`, `left` (default)
-    /// or `right`.
-    Shove,
-}
-
 fn default_time_limit() -> f64 {
     1200.0
 }
 
 fn default_seed() -> u64 {
     1
-}
-
-fn yes() -> bool {
-    true
 }
 
 impl Scenario {
@@ -367,81 +286,6 @@ impl Scenario {
             .collect();
         check.finish(models)
     }
-}
-
-impl RobotSpec {
-    fn model(&self, class: &RobotClass, check: &mut Check) -> RobotClass {
-        let mut model = class.clone();
-        model.battery_s = self.battery_s.or(class.battery_s);
-        if let Some(units) = &self.pan_tilt {
-            let of_class = |name: &str| class.pan_tilt.iter().find(|unit| unit.name == name);
-            let first = class.pan_tilt.first();
-            model.pan_tilt = units
-                .iter()
-                .map(|unit| {
-                    of_class(&unit.name).or(first).map_or_else(|| unit.clone(), |c| unit.or(c))
-                })
-                .collect();
-        }
-        let replaced = |sensor: &SensorSpec| {
-            !self.class_sensors || self.sensors.iter().any(|own| own.kind == sensor.kind)
-        };
-        model.sensor.retain(|sensor| !replaced(sensor));
-        for sensor in &mut model.sensor {
-            remount(sensor, &class.pan_tilt, &model.pan_tilt);
-        }
-        model.sensor.extend(self.sensors.iter().cloned());
-        for sensor in &model.sensor {
-            check.that(
-                mountable(sensor, &model.pan_tilt),
-                format_args!("robot {:?} sensor {:?} mount", self.name, sensor.name),
-                format_args!(
-                    "expected body, a wheel or NAME_Link1/2 of a unit, found {:?}",
-                    sensor.mount
-                ),
-            );
-        }
-        model
-    }
-}
-
-/// Unit and link that a mount such as `NAME_Link2` names.
-pub(crate) fn link_of_mount(mount: &str) -> Option<(&str, usize)> {
-    let (unit, link) = mount.rsplit_once("_Link")?;
-    match link {
-        "1" => Some((unit, 0)),
-        "2" => Some((unit, 1)),
-        _ => None,
-    }
-}
-
-fn mountable(sensor: &SensorSpec, units: &[PanTiltSpec]) -> bool {
-    match link_of_mount(&sensor.mount) {
-        Some((unit, _)) => units.iter().any(|own| own.name == unit),
-        None => sensor.mount == "body" || sensor.mount.ends_with("Wheel"),
-    }
-}
-
-/// A sensor of the class on a unit that the scenario renamed moves to the only unit there is; where
-/// there is none it stays where it was at zero angles, on the body.
-fn remount(sensor: &mut SensorSpec, class_units: &[PanTiltSpec], units: &[PanTiltSpec]) {
-    let Some((unit, link)) = link_of_mount(&sensor.mount) else { return };
-    if units.iter().any(|own| own.name == unit) {
-        return;
-    }
-    let lost = class_units.iter().find(|own| own.name == unit);
-    sensor.mount = match (units, lost) {
-        ([only], _) => format!("{}_Link{}", only.name, link + 1),
-        (_, Some(lost)) => {
-            let offset = if link == 1 { lost.tilt_offset.unwrap_or_default() } else { [0.0; 3] };
-            let joint = lost.position.unwrap_or_default();
-            for axis in 0..3 {
-                sensor.position[axis] += joint[axis] + offset[axis];
-            }
-            "body".to_owned()
-        }
-        (_, None) => "body".to_owned(),
-    };
 }
 
 #[cfg(test)]

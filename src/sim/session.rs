@@ -148,7 +148,7 @@ impl Session {
     pub fn connect(&mut self) -> ConnectionId {
         let id = ConnectionId(self.next_connection);
         self.next_connection += 1;
-        self.connections.insert(id, Connection::new());
+        self.connections.insert(id, Connection::new(self.scenario.dialect));
         let time_limit = match self.scenario.dialect {
             Dialect::Ut2004 => 0,
             Dialect::Udk => 20,

@@ -231,3 +231,19 @@ async fn a_recording_that_cannot_be_written_stops_the_wheels_and_is_told() {
     assert!(error.contains("recording") && error.contains("no space left"), "{error}");
     assert_eq!(transcript.lines.last().map(String::as_str), Some(STOP));
 }
+
+#[tokio::test]
+async fn a_panic_stops_the_wheels_and_is_passed_on() {
+    let server = ScriptedServer::start("agent_session").await;
+    let address = server.address.clone();
+    let run = tokio::spawn(async move {
+        let clock = SessionClock::start();
+        let link = connect(&address, &quick(), clock).await.unwrap();
+        let mut host: Host<Vec<u8>> = Host::new(Agent::new(config(), Placement::FirstStart), None);
+        let (_inputs, received) = mpsc::channel(1);
+        let watch = |agent: &Agent, _| assert!(!agent.is_in_service(), "a bug of the shell");
+        Live::new(&mut host, clock, &address, quick(), received, watch).run(link).await
+    });
+    assert!(run.await.unwrap_err().is_panic());
+    assert_eq!(server.finish().await.lines.last().map(String::as_str), Some(STOP));
+}

@@ -1,5 +1,6 @@
 //! Plain clients against the stand-in server, over real sockets on free ports.
 
+mod clients;
 mod opening;
 mod operator;
 mod pictures;

@@ -2,7 +2,7 @@
 
 use super::fault::Shaping;
 use crate::protocol::command::Query;
-use crate::protocol::{Command, Framed, LineSplitter, parse_command};
+use crate::protocol::{Command, Dialect, Framed, LineSplitter, parse_command};
 use crate::sim::physics::RobotKey;
 use crate::time::{Span, Stamp};
 use serde::{Deserialize, Serialize};
@@ -29,6 +29,7 @@ pub(super) enum Question {
 }
 
 pub(super) struct Connection {
+    dialect: Dialect,
     pub(super) robot: Option<RobotKey>,
     /// Robots that this client made before its present one; they go when it goes.
     pub(super) earlier: Vec<RobotKey>,
@@ -49,8 +50,9 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    pub(super) fn new() -> Self {
+    pub(super) fn new(dialect: Dialect) -> Self {
         Self {
+            dialect,
             robot: None,
             earlier: Vec::new(),
             closed: false,
@@ -75,7 +77,11 @@ impl Connection {
             if let Framed::Line(line) = framed
                 && self.commands.len() < MOST_PENDING
             {
-                self.commands.push_back(parse_command(line).command);
+                let seen = match self.dialect {
+                    Dialect::Ut2004 => line,
+                    Dialect::Udk => before_keyless(line),
+                };
+                self.commands.push_back(parse_command(seen).command);
             }
         }
     }
@@ -142,5 +148,40 @@ impl Connection {
     /// All robots that this client made; it has none after that.
     pub(super) fn take_robots(&mut self) -> Vec<RobotKey> {
         self.earlier.drain(..).chain(self.robot.take()).collect()
+    }
+}
+
+/// What a UDK server finds of a line: it files a segment without a value under the empty key, and its
+/// look-ups stop there.
+fn before_keyless(line: &[u8]) -> &[u8] {
+    let mut from = 0;
+    while let Some(open) = memchr::memchr(b'{', &line[from..]).map(|at| from + at) {
+        let Some(close) = memchr::memchr(b'}', &line[open..]).map(|at| open + at) else { break };
+        if !line[open + 1..close].trim_ascii().contains(&b' ') {
+            return &line[..open];
+        }
+        from = close + 1;
+    }
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn udk_finds_nothing_behind_a_segment_without_a_value() {
+        let seen =
+            |line: &str| String::from_utf8(before_keyless(line.as_bytes()).to_vec()).unwrap();
+        for whole in ["GETSTARTPOSES", "DRIVE {Left 1} { Right  1 }", "DRIVE {Left 1} {Right 1"] {
+            assert_eq!(seen(whole), whole);
+        }
+        for (line, found) in [
+            ("DRIVE {} {Left 1} {Right 1}", "DRIVE "),
+            ("DRIVE {Left 1}{ None } {Right 1}", "DRIVE {Left 1}"),
+            ("SET {Type Odometry} {Name }", "SET {Type Odometry} "),
+        ] {
+            assert_eq!(seen(line), found);
+        }
     }
 }

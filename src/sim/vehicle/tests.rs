@@ -112,6 +112,25 @@ fn drives_straight_at_the_speed_of_its_wheels_and_stops() {
     }
 }
 
+/// In a recording of six seconds both wheels of a straight run agree to a tick of their encoders.
+#[test]
+fn wheels_of_a_straight_run_turn_alike() {
+    let tick_rad = 1.0_f64.to_radians();
+    for class in ["P3AT", "P2AT", "P2DX"] {
+        let mut bench = Bench::new(class, Motion::Rigid, FLOOR);
+        let radius = bench.class.wheels.radius_m;
+        for rim_mps in [0.02, 0.4] {
+            bench.drive(rim_mps, rim_mps, 1.0);
+            let before = bench.robot.state().wheel_angles_rad.clone();
+            bench.run(4.0);
+            for (before, after) in before.iter().zip(&bench.robot.state().wheel_angles_rad) {
+                let off_rad = after - before - 4.0 * rim_mps / radius;
+                assert!(off_rad.abs() < tick_rad, "{class} at {rim_mps} m/s: {off_rad} rad off");
+            }
+        }
+    }
+}
+
 #[test]
 fn turns_in_place_slower_than_the_wheels_say() {
     let mut bench = Bench::paper_robot(FLOOR);
