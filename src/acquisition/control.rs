@@ -31,6 +31,8 @@ pub struct HeadControl {
     tilt_proof: Option<ServoLaw>,
     pan_proof: Option<ServoLaw>,
     latency: Span,
+    /// How late the last reading came.
+    readings_late: Span,
     /// Times found by calibration, or supposed.
     pub(super) timing: Timing,
 }
@@ -78,6 +80,7 @@ impl HeadControl {
             pan,
             rhythm: LineRhythm::default(),
             latency,
+            readings_late: Span::ZERO,
             timing: Timing {
                 command_delay: Span::from_seconds(0.5 * latency.seconds()),
                 line_lag: Span::ZERO,
@@ -106,6 +109,8 @@ impl HeadControl {
                     }
                 };
                 if step == ClockStep::Steady {
+                    let sent = self.clock.earliest(now).unwrap_or(reading.stamp);
+                    self.readings_late = (sent - reading.stamp).max(Span::ZERO);
                     read(&mut self.tilt, reading.tilt);
                     read(&mut self.pan, reading.pan);
                 }
@@ -184,6 +189,11 @@ impl HeadControl {
             model_sigma_rad: fit.rms_rad,
             calibrated: true,
         };
+    }
+
+    /// How late the tilt's readings come, by the last of them: zero on a server that keeps time.
+    pub(super) fn readings_late(&self) -> Span {
+        self.readings_late
     }
 
     /// When the rays of a line were cast, as far as is known.

@@ -72,8 +72,12 @@ struct Taken {
 
 /// Lines without progress after which the tilt is taken to be stuck.
 const IDLE_LINES: u32 = 15;
-/// Time given to a last reading.
+/// Time given to a last reading, beyond what readings are late anyway.
 const CLOSING: Span = Span::from_millis(450);
+/// Readings later than this are not waited for.
+const LATEST: Span = Span::from_millis(3_000);
+/// Readings later than this are remarkable.
+const LATE: Span = Span::from_millis(500);
 /// A row may be this share of the spacing off, where that is more than the configured error: rows lie
 /// far apart where the ground is near, and there an angle moves a point by little.
 const TOLERATED_SHARE: f64 = 0.1;
@@ -241,7 +245,9 @@ impl Flow {
     fn step_at(&self, tilt_rad: f64, control: &HeadControl, config: &AcquisitionConfig) -> f64 {
         let sigma_s = control.timing.sigma.seconds().max(1e-4);
         let spacing = self.spacing_at(tilt_rad);
-        let tolerated = config.flow_sigma_deg.to_radians().max(TOLERATED_SHARE * spacing);
+        // Without readings a fast tilt is dead reckoning: an error of its speed adds up over the sweep.
+        let share = control.tilt.last_reading().map_or(0.0, |_| TOLERATED_SHARE);
+        let tolerated = config.flow_sigma_deg.to_radians().max(share * spacing);
         let most = tolerated / sigma_s * control.rhythm.interval().seconds();
         spacing.min(most.max(super::QUARTER_DEGREE_RAD))
     }
@@ -395,7 +401,8 @@ impl Flow {
         if !reads || self.is_dated(control) {
             self.finish(control, now, actions);
         } else {
-            self.deadline = now + control.clock().arrival_span(CLOSING);
+            let late = control.readings_late().min(LATEST);
+            self.deadline = now + control.clock().arrival_span(CLOSING + late);
         }
     }
 
@@ -477,6 +484,11 @@ impl Flow {
         let rows = self.rows(control);
         let unsupported = rows.iter().filter(|(_, supported)| !supported).count();
         let reads = control.tilt.last_reading().is_some();
+        let late = control.readings_late();
+        if reads && late > LATE {
+            let seconds = late.seconds();
+            self.remarks.push(format!("the tilt's readings come {seconds:.1} s late"));
+        }
         if reads && unsupported > 0 {
             self.remarks
                 .push(format!("{unsupported} rows are filed by the servo law: no reading near"));

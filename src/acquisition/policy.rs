@@ -225,24 +225,28 @@ mod tests {
         choose(&view, &FanConfig::default(), interest, &HINGE, 0.3).unwrap()
     }
 
-    #[test]
-    #[ignore = "expects times of before wide rows were taken faster; the choice by rate differs"]
-    fn near_ground_that_is_unseen_is_worth_the_steep_rows() {
+    /// Unseen ground right before the robot alone.
+    fn near() -> Interest {
         let mut interest = Interest::default();
-        (0..30).for_each(|ring| interest.add(0.5 + 0.25 * f64::from(ring), 2.0));
-        let offer = chosen(&interest);
-        assert!(offer.request.profile.name == "ground fan", "{}", offer.reason);
-        assert!((5.0..12.0).contains(&offer.seconds), "{} s", offer.seconds);
+        interest.add(0.55, 60.0);
+        interest
     }
 
     #[test]
-    #[ignore = "expects times of before wide rows were taken faster; the choice by rate differs"]
+    fn near_ground_that_is_unseen_is_worth_the_steep_rows() {
+        let offer = chosen(&near());
+        assert!(offer.request.profile.name == "ground fan", "{}", offer.reason);
+        // Down to the steepest row and up again over all of them, at 9.7°/s.
+        assert!((8.0..16.0).contains(&offer.seconds), "{} s", offer.seconds);
+    }
+
+    #[test]
     fn where_only_far_ground_is_unseen_the_steep_rows_are_left_out() {
         let mut interest = Interest::default();
         (0..16).for_each(|ring| interest.add(4.0 + 0.25 * f64::from(ring), 2.0));
         let offer = chosen(&interest);
         assert!(offer.request.profile.name.starts_with("fan from"), "{}", offer.reason);
-        let whole = chosen(&Interest { unseen_m2: vec![40.0; 30], ..Interest::default() });
+        let whole = chosen(&near());
         assert!(offer.seconds < 0.7 * whole.seconds, "{} {}", offer.seconds, whole.seconds);
         assert!((offer.gain_m2 - 32.0).abs() < 1e-9 && offer.reason.contains("the whole fan"));
     }

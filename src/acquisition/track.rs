@@ -243,7 +243,8 @@ impl AxisTrack {
             state = self.step(law, state, demand, stamp - at);
             (at, demand) = (stamp, Some(next));
         }
-        if to > at { self.step(law, state, demand, to - at) } else { state }
+        // Over no time at all the angle stays and the rate becomes the law's.
+        if to >= at { self.step(law, state, demand, to - at) } else { state }
     }
 
     fn step(

@@ -30,7 +30,9 @@ pub struct Setting {
 
 impl Setting {
     pub fn new(dialect: Dialect, readings: bool) -> Self {
-        Self { scenario: "box", dialect, readings, seed: 1, ..Self::default() }
+        // UDK's own robot carries no pan-tilt; that scenario gives it one.
+        let scenario = if dialect == Dialect::Udk { "station_udk" } else { "box" };
+        Self { scenario, dialect, readings, seed: 1, ..Self::default() }
     }
 }
 
@@ -61,11 +63,9 @@ impl Bench {
         scenario.dialect = setting.dialect;
         scenario.seed = setting.seed;
         scenario.faults.clone_from(&setting.faults);
-        scenario.robots[0].pan_tilt = Some(vec![PanTiltSpec {
-            name: "CameraPanTilt".to_owned(),
-            status: Some(setting.readings),
-            ..PanTiltSpec::default()
-        }]);
+        let unit = PanTiltSpec { name: "CameraPanTilt".to_owned(), ..PanTiltSpec::default() };
+        let units = scenario.robots[0].pan_tilt.get_or_insert_with(|| vec![unit]);
+        units[0].status = Some(setting.readings);
         scenario.robots[0].sensors.extend(setting.scanner.clone());
         let mut session =
             Session::new(&loaded.files.world, &scenario, &loaded.files.catalogue).unwrap();
