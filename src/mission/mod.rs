@@ -13,6 +13,7 @@ mod journal;
 mod ledger;
 mod looks;
 mod motion;
+mod nod;
 mod observe;
 mod opening;
 mod operator;
@@ -24,7 +25,7 @@ mod teleop;
 
 pub use agent::{Agent, Tally};
 pub use belief::{Belief, BeliefConfig, ScanFindings};
-pub use config::{AgentConfig, FineSweep, MissionConfig};
+pub use config::{AgentConfig, FineSweep, LookPolicy, MissionConfig};
 pub use event::{Action, Event, Outcome};
 pub use journal::{Journal, Level, Note};
 pub use ledger::{Ledger, Pastime, SweepEntry, TimeSplit};

@@ -138,6 +138,8 @@ pub struct Running {
     pub(super) wheel_count: WheelCount,
     /// The sweep that is being watched in a recording of somebody else.
     pub(super) observed: ObservedSweep,
+    /// Length of the path when a nod was last thought of.
+    pub(super) nod_asked_m: f64,
 }
 
 /// How a cycle ended for the mission as a whole.
@@ -200,6 +202,7 @@ impl Running {
             planar_lines: 0,
             wheel_count: WheelCount::default(),
             observed: ObservedSweep::default(),
+            nod_asked_m: 0.0,
             acquisition,
             belief,
             shape,
@@ -367,6 +370,10 @@ impl Running {
     fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
         self.last_wheels = wheels;
         self.belief.take_wheels(wheels, stamp);
+        let world_from_robot = self.belief.world_from_robot();
+        if let Some(acquisition) = &mut self.acquisition {
+            acquisition.moved(stamp, world_from_robot);
+        }
     }
 
     fn joints(&mut self, reading: HeadReading, desk: &mut Desk<'_>) {
@@ -431,6 +438,7 @@ impl Running {
                 HeadAction::Send(command) => {
                     desk.out.extend(self.rig.head_commands(command.pan, command.tilt));
                 }
+                HeadAction::Ask => desk.out.extend(self.rig.trigger_command()),
                 HeadAction::Filed { .. } => {}
                 HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
                 HeadAction::Calibrated(report) => {
@@ -446,6 +454,9 @@ impl Running {
         self.ledger.sweep(&scan);
         for remark in &scan.remarks {
             desk.warn(format!("{} sweep: {remark}", scan.profile));
+        }
+        if scan.driven_m.is_some() {
+            return self.finish_nod(scan, desk);
         }
         if std::mem::take(&mut self.first_scan_due) {
             self.measure_floor(&scan, desk);

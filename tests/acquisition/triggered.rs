@@ -1,0 +1,41 @@
+//! A scanner that speaks only when it is asked (`SET … {Opcode Scan}`).
+
+use super::bench::{Bench, Setting, quantile};
+use usar_agent::acquisition::{AcquisitionConfig, Profile, QuarterDegrees, SweepRequest};
+use usar_agent::protocol::Dialect;
+use usar_agent::sim::SensorSpec;
+
+fn scanner() -> SensorSpec {
+    toml::from_str(
+        r#"
+        type = "RangeScanner"
+        name = "Scanner1"
+        mount = "CameraPanTilt_Link2"
+        position = [0.05, 0.0, 0.04]
+        min_range_m = 0.1
+        max_range_m = 20.0
+        fov_deg = 180.0
+        resolution_deg = 1.0
+        interval_s = 0.0
+        "#,
+    )
+    .unwrap()
+}
+
+#[test]
+fn each_row_is_asked_for_once_the_tilt_rests() {
+    for dialect in [Dialect::Ut2004, Dialect::Udk] {
+        let setting = Setting { scanner: Some(scanner()), ..Setting::new(dialect, true) };
+        let mut bench = Bench::new(&setting, AcquisitionConfig::default());
+        let tilts = (0..20).map(|i| QuarterDegrees(2 * i)).collect();
+        let profile = Profile { name: "asked".to_owned(), tilts };
+        let paper = SweepRequest::paper(bench.acquisition.config());
+        let scan = bench.take(SweepRequest { profile, ..paper });
+        assert!(scan.complete && scan.filed == 20, "{dialect:?}: {:?}", scan.remarks);
+        let errors = bench.tilt_errors_deg(&scan);
+        assert!(errors.len() == 20 && quantile(&errors, 1.0) <= 0.0125, "{dialect:?}: {errors:?}");
+        let asked = bench.sent.iter().filter(|line| line.contains("{Opcode Scan}")).count();
+        assert!((20..=24).contains(&asked), "{dialect:?}: {asked} times");
+        assert!(scan.seconds() < 20.0 * 1.6, "{dialect:?}: {} s", scan.seconds());
+    }
+}
