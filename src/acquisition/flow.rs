@@ -404,7 +404,7 @@ impl Flow {
         let reads = control.tilt.last_reading().is_some();
         if reads && self.readings_late > LATE {
             let seconds = self.readings_late.seconds();
-            self.remarks.push(format!("the tilt's readings came up to {seconds:.1} s late"));
+            self.remarks.push(format!("the tilt's readings came late, by {seconds:.1} s or more"));
         }
         if reads && unsupported > 0 {
             self.remarks

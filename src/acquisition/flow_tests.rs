@@ -171,7 +171,7 @@ fn late_readings_in_motion_are_waited_for_and_told() {
     let scan = take(&mut bed, &mut acquisition, SweepRequest::flowing(Profile::coarse(0.5)));
     assert!(scan.complete, "{:?}", scan.remarks);
     assert!(quantile(&bed.tilt_errors_deg(&scan), 0.99) < 0.15);
-    assert!(scan.remarks[0].contains("readings came up to"), "{:?}", scan.remarks);
+    assert!(scan.remarks[0].contains("readings came late"), "{:?}", scan.remarks);
 }
 
 #[test]

@@ -56,5 +56,5 @@ fn a_laser_that_stops_leaves_the_rows_before() {
 fn readings_that_come_late_are_waited_for() {
     let (bench, scan) = scan_with(FaultKind::Delay, Some("MISSTA"), Some(2.0));
     assert!(scan.complete, "{:?}", scan.remarks);
-    usable(&bench, &scan, "readings came up to 2.");
+    usable(&bench, &scan, "readings came late");
 }

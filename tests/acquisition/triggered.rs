@@ -1,6 +1,6 @@
 //! A scanner that speaks only when it is asked (`SET … {Opcode Scan}`).
 
-use super::bench::{Bench, Setting, quantile};
+use super::bench::{Bench, Setting, near, quantile};
 use usar_agent::acquisition::{AcquisitionConfig, Profile, QuarterDegrees, SweepRequest};
 use usar_agent::protocol::Dialect;
 use usar_agent::sim::SensorSpec;
@@ -32,7 +32,15 @@ fn each_row_is_asked_for_once_the_tilt_rests() {
         let paper = SweepRequest::paper(bench.acquisition.config());
         let scan = bench.take(SweepRequest { profile, ..paper });
         assert!(scan.complete && scan.filed == 20, "{dialect:?}: {:?}", scan.remarks);
-        let errors = bench.tilt_errors_deg(&scan);
+        // An answer is stamped when it is cast.
+        let rows = scan.image.rows().iter();
+        let errors: Vec<f64> = rows
+            .filter_map(|row| {
+                let stamp = row.stamp?;
+                let cast = bench.casts.iter().find(|cast| near(cast.cast_at, stamp))?;
+                Some((row.tilt_rad - cast.tilt_rad).to_degrees())
+            })
+            .collect();
         assert!(errors.len() == 20 && quantile(&errors, 1.0) <= 0.0125, "{dialect:?}: {errors:?}");
         let asked = bench.sent.iter().filter(|line| line.contains("{Opcode Scan}")).count();
         assert!((20..=24).contains(&asked), "{dialect:?}: {asked} times");
