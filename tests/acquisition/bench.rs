@@ -73,7 +73,11 @@ impl Bench {
         let unit = PanTiltSpec { name: "CameraPanTilt".to_owned(), ..PanTiltSpec::default() };
         let units = scenario.robots[0].pan_tilt.get_or_insert_with(|| vec![unit]);
         units[0].status = Some(setting.readings);
-        scenario.robots[0].sensors.extend(setting.scanner.clone());
+        if let Some(scanner) = &setting.scanner {
+            let sensors = &mut scenario.robots[0].sensors;
+            sensors.retain(|own| own.kind != scanner.kind);
+            sensors.push(scanner.clone());
+        }
         let mut session =
             Session::new(&loaded.files.world, &scenario, &loaded.files.catalogue).unwrap();
         let connection = session.connect();

@@ -5,27 +5,29 @@ use usar_agent::acquisition::{AcquisitionConfig, Profile, QuarterDegrees, SweepR
 use usar_agent::protocol::Dialect;
 use usar_agent::sim::SensorSpec;
 
-fn scanner() -> SensorSpec {
-    toml::from_str(
-        r#"
+fn scanner(dialect: Dialect) -> SensorSpec {
+    let unit = match dialect {
+        Dialect::Ut2004 => "CameraPanTilt",
+        Dialect::Udk => "PanTilt",
+    };
+    let text = r#"
         type = "RangeScanner"
         name = "Scanner1"
-        mount = "CameraPanTilt_Link2"
+        mount = "UNIT_Link2"
         position = [0.05, 0.0, 0.04]
         min_range_m = 0.1
         max_range_m = 20.0
         fov_deg = 180.0
         resolution_deg = 1.0
         interval_s = 0.0
-        "#,
-    )
-    .unwrap()
+        "#;
+    toml::from_str(&text.replace("UNIT", unit)).unwrap()
 }
 
 #[test]
 fn each_row_is_asked_for_once_the_tilt_rests() {
     for dialect in [Dialect::Ut2004, Dialect::Udk] {
-        let setting = Setting { scanner: Some(scanner()), ..Setting::new(dialect, true) };
+        let setting = Setting { scanner: Some(scanner(dialect)), ..Setting::new(dialect, true) };
         let mut bench = Bench::new(&setting, AcquisitionConfig::default());
         let tilts = (0..20).map(|i| QuarterDegrees(2 * i)).collect();
         let profile = Profile { name: "asked".to_owned(), tilts };

@@ -10,7 +10,7 @@ out=$(mktemp -d)
 trap 'rm -rf "$out"' EXIT
 fly() {
     printf '[mission]\n%b' "$2" >"$out/$1.toml"
-    target/release/usar demo --console off --seed "$seed" --time-limit "$seconds" \
+    target/release/usar demo --seed "$seed" --time-limit "$seconds" \
         --config "$out/$1.toml" --out "$out/$1" >"$out/$1.txt" 2>&1
     value() { sed -n "s/^ *\"$1\": \([0-9.]*\),*\$/\1/p" "$2/report.json" | head -n 1; }
     nods=$(grep -c '"profile": "nod"' "$out/$1/report.json" || true)
