@@ -54,7 +54,12 @@ impl StampClock {
             self.window.clear();
             self.latest = None;
         }
-        self.latest = Some(self.latest.map_or(stamp, |latest| latest.max(stamp)));
+        // A message that was held up tells nothing, and as the last of the window it would slow the
+        // rate between the clocks.
+        if self.latest.is_some_and(|latest| stamp < latest) {
+            return step;
+        }
+        self.latest = Some(stamp);
         self.window.push_back((now, stamp));
         while self.window.len() > WINDOW_MESSAGES
             || self.window.front().is_some_and(|&(arrival, _)| now - arrival > WINDOW)
@@ -118,6 +123,18 @@ mod tests {
         clock.observe(Stamp::from_seconds(100.0), at(1.0));
         clock.observe(Stamp::from_seconds(100.2), at(1.7));
         assert_eq!(clock.earliest(at(2.0)), Some(Stamp::from_seconds(101.0)));
+    }
+
+    #[test]
+    fn messages_held_up_for_long_leave_bound_and_rate_alone() {
+        let mut clock = StampClock::new();
+        for i in 0..30 {
+            let t = 0.2 * f64::from(i);
+            clock.observe(Stamp::from_seconds(100.0 + t), at(t));
+            clock.observe(Stamp::from_seconds(98.0 + t), at(t + 0.01));
+        }
+        assert!((clock.rate() - 1.0).abs() < 1e-12, "{}", clock.rate());
+        assert_eq!(clock.earliest(at(6.0)), Some(Stamp::from_seconds(106.0)));
     }
 
     #[test]

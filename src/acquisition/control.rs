@@ -1,3 +1,4 @@
+use super::body::BodyTrack;
 use super::clock::{ClockStep, StampClock};
 use super::config::AcquisitionConfig;
 use super::identify::ServoFit;
@@ -25,12 +26,19 @@ pub struct HeadControl {
     pub(super) tilt: AxisTrack,
     /// The pan joint.
     pub(super) pan: AxisTrack,
+    /// Where the body was over time.
+    pub(super) body: BodyTrack,
     /// When lines come, and how many beams they have.
     pub(super) rhythm: LineRhythm,
+    /// When a line was last asked for, and how often in all.
+    asked: Option<Arrival>,
+    asks: u64,
     /// The law by which the tilt rests for certain: as told by CONF, or as found and then derated.
     tilt_proof: Option<ServoLaw>,
     pan_proof: Option<ServoLaw>,
     latency: Span,
+    /// How late the last reading came.
+    readings_late: Span,
     /// Times found by calibration, or supposed.
     pub(super) timing: Timing,
 }
@@ -54,6 +62,9 @@ pub struct Timing {
 /// must take such a stamp for this much later to stay on the safe side.
 const SCANNER_LAG: Span = Span::from_millis(300);
 
+/// A line asked for and not answered is asked for again after this; real scanners speak as often.
+const ASK_EVERY: Span = Span::from_millis(200);
+
 impl HeadControl {
     /// A head at rest at zero, as a robot is created, whose joints follow `law` where one is known.
     pub fn new(head: &ScanHead, law: Option<ServoLaw>, config: &AcquisitionConfig) -> Self {
@@ -76,8 +87,12 @@ impl HeadControl {
             pan_proof: pan.law(),
             tilt,
             pan,
+            body: BodyTrack::default(),
             rhythm: LineRhythm::default(),
+            asked: None,
+            asks: 0,
             latency,
+            readings_late: Span::ZERO,
             timing: Timing {
                 command_delay: Span::from_seconds(0.5 * latency.seconds()),
                 line_lag: Span::ZERO,
@@ -106,6 +121,8 @@ impl HeadControl {
                     }
                 };
                 if step == ClockStep::Steady {
+                    let sent = self.clock.earliest(now).unwrap_or(reading.stamp);
+                    self.readings_late = (sent - reading.stamp).max(Span::ZERO);
                     read(&mut self.tilt, reading.tilt);
                     read(&mut self.pan, reading.pan);
                 }
@@ -124,6 +141,7 @@ impl HeadControl {
         self.tilt.forget_times();
         self.pan.forget_times();
         self.rhythm.forget_times();
+        self.body.forget();
         true
     }
 
@@ -184,6 +202,28 @@ impl HeadControl {
             model_sigma_rad: fit.rms_rad,
             calibrated: true,
         };
+    }
+
+    /// How late the tilt's readings come, by the last of them: zero on a server that keeps time.
+    pub(super) fn readings_late(&self) -> Span {
+        self.readings_late
+    }
+
+    /// Whether the scanner speaks only when it is asked (`SET … Scan`, protocol 4.5): one that speaks
+    /// by itself soon has sent more lines than it was asked for.
+    pub(super) fn must_ask(&self) -> bool {
+        self.rhythm.lines <= self.asks
+    }
+
+    /// When the next line may be asked for.
+    pub(super) fn may_ask_at(&self) -> Option<Arrival> {
+        self.asked.map(|at| at + self.clock().arrival_span(ASK_EVERY))
+    }
+
+    /// Takes note that a line is asked for.
+    pub(super) fn ask(&mut self, now: Arrival) {
+        self.asked = Some(now);
+        self.asks += 1;
     }
 
     /// When the rays of a line were cast, as far as is known.
@@ -262,6 +302,7 @@ impl Settle {
 pub(super) struct LineRhythm {
     recent: VecDeque<Stamp>,
     last_arrival: Option<Arrival>,
+    lines: u64,
     beams: Option<usize>,
     other: Option<(usize, u32)>,
 }
@@ -275,6 +316,7 @@ impl LineRhythm {
 
     fn note(&mut self, line: &LaserLine, now: Arrival) {
         self.last_arrival = Some(now);
+        self.lines += 1;
         if self.recent.back().is_none_or(|&last| line.stamp > last) {
             self.recent.push_back(line.stamp);
             if self.recent.len() > Self::KEPT {

@@ -3,12 +3,14 @@
 
 use super::config::AcquisitionConfig;
 use super::control::HeadControl;
-use super::profile::{Profile, QuarterDegrees};
+use super::dated::{Taken, dated_rows};
+use super::profile::QuarterDegrees;
 use super::scan::{FiledRow, Scan, ScanErrors, TimeBudget, image_of};
+use super::way::Way;
 use super::{HeadAction, HeadEvent};
-use crate::robot::{Demand, HeadPose};
+use crate::robot::Demand;
 use crate::scan::LaserLine;
-use crate::time::{Arrival, Span, Stamp};
+use crate::time::{Arrival, Span};
 use serde::{Deserialize, Serialize};
 
 /// How the tilt is driven along.
@@ -33,9 +35,10 @@ pub enum FlowDrive {
 /// A sweep in one continuous motion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Flow {
-    profile: Profile,
-    drive: FlowDrive,
+    way: Way,
     pan_rad: f64,
+    /// Whether the body drives meanwhile, so that rows are displaced as it moved.
+    driving: bool,
     stage: Stage,
     taken: Vec<Taken>,
     demanded: QuarterDegrees,
@@ -44,6 +47,8 @@ pub struct Flow {
     repeats: usize,
     /// Lines since the tilt last came on by half a row.
     idle_lines: u32,
+    /// How late the latest of the readings came.
+    readings_late: Span,
     furthest_rad: f64,
     budget: TimeBudget,
     last_event: Arrival,
@@ -63,61 +68,56 @@ enum Stage {
     Finished,
 }
 
-/// A line, and what was demanded when it came.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Taken {
-    line: LaserLine,
-    demanded: QuarterDegrees,
-}
-
 /// Lines without progress after which the tilt is taken to be stuck.
 const IDLE_LINES: u32 = 15;
-/// Time given to a last reading.
+/// Time given to a last reading, beyond what readings are late anyway.
 const CLOSING: Span = Span::from_millis(450);
-/// A row may be this share of the spacing off, where that is more than the configured error: rows lie
-/// far apart where the ground is near, and there an angle moves a point by little.
-const TOLERATED_SHARE: f64 = 0.1;
-/// A row nearer than this share of the spacing to the row before tells nothing new.
-const CLOSEST: f64 = 0.4;
-/// Rows farther apart than this are thin for fitting surfaces: lines between them that come for
-/// nothing are kept.
-const DENSE_RAD: f64 = 0.0175;
+/// Readings later than this are not waited for.
+const LATEST: Span = Span::from_millis(3_000);
+/// Readings later than this are remarkable.
+const LATE: Span = Span::from_millis(500);
 
 impl Flow {
     /// A sweep over `profile`, already clipped and turned the way it is to run; its first actions.
-    pub fn start(
-        profile: Profile,
-        drive: FlowDrive,
+    pub(super) fn start(
+        way: Way,
         pan_rad: f64,
+        driving: bool,
         control: &mut HeadControl,
         config: &AcquisitionConfig,
         now: Arrival,
     ) -> (Self, Vec<HeadAction>) {
-        let first = profile.tilts.first().copied().unwrap_or_default();
+        let first = way.profile.tilts.first().copied().unwrap_or_default();
         let mut flow = Self {
             demanded: first,
             furthest_rad: first.radians(),
-            profile,
-            drive,
+            way,
             pan_rad,
+            driving,
             stage: Stage::NeedsClock,
             taken: Vec::new(),
             started: now,
             deadline: now + config.row_timeout(),
             repeats: 0,
             idle_lines: 0,
+            readings_late: Span::ZERO,
             budget: TimeBudget::default(),
             last_event: now,
             remarks: Vec::new(),
         };
         let mut actions = Vec::new();
-        if flow.profile.is_empty() {
+        if flow.way.profile.is_empty() {
             flow.remarks.push("no row of the profile can be reached".to_owned());
             flow.finish(control, now, &mut actions);
         } else if control.clock().latest().is_some() {
             flow.approach(control, config, now, &mut actions);
         }
         (flow, actions)
+    }
+
+    /// Whether the body drives meanwhile.
+    pub(super) fn is_driving(&self) -> bool {
+        self.driving
     }
 
     /// Adds a line for the operator to the scan's remarks.
@@ -132,7 +132,7 @@ impl Flow {
 
     /// Rows taken so far, and rows in all as far as they can be told before.
     pub fn progress(&self) -> (usize, usize) {
-        (self.taken.len(), self.profile.len().max(self.taken.len()))
+        (self.taken.len(), self.way.profile.len().max(self.taken.len()))
     }
 
     /// When the sweep must be called again even if nothing arrives.
@@ -165,6 +165,9 @@ impl Flow {
     ) -> Vec<HeadAction> {
         let mut actions = Vec::new();
         self.spend(control, now);
+        if matches!(event, HeadEvent::Joints(_)) {
+            self.readings_late = self.readings_late.max(control.readings_late());
+        }
         if jumped && !self.is_finished() {
             // Lines before the jump can no longer be dated against what the tilt does now.
             self.remarks.push("the server's clock jumped: the sweep ends there".to_owned());
@@ -212,40 +215,6 @@ impl Flow {
         control.clock().arrival_span(lines) + config.row_timeout()
     }
 
-    fn direction(&self) -> f64 {
-        let (first, last) = self.ends();
-        if last < first { -1.0 } else { 1.0 }
-    }
-
-    fn ends(&self) -> (f64, f64) {
-        let tilts = &self.profile.tilts;
-        (tilts[0].radians(), tilts[tilts.len() - 1].radians())
-    }
-
-    /// Distance between rows around a tilt, in radians.
-    fn spacing_at(&self, tilt_rad: f64) -> f64 {
-        if let FlowDrive::SetPoints { step_rad: Some(step) } = self.drive {
-            return step;
-        }
-        let tilts = &self.profile.tilts;
-        let direction = self.direction();
-        let ahead = tilts.partition_point(|t| (t.radians() - tilt_rad) * direction <= 0.0);
-        let at = ahead.clamp(1, tilts.len().max(2) - 1);
-        match (tilts.get(at - 1), tilts.get(at)) {
-            (Some(a), Some(b)) => (b.radians() - a.radians()).abs(),
-            _ => super::QUARTER_DEGREE_RAD,
-        }
-    }
-
-    /// The spacing that the times are known well enough for.
-    fn step_at(&self, tilt_rad: f64, control: &HeadControl, config: &AcquisitionConfig) -> f64 {
-        let sigma_s = control.timing.sigma.seconds().max(1e-4);
-        let spacing = self.spacing_at(tilt_rad);
-        let tolerated = config.flow_sigma_deg.to_radians().max(TOLERATED_SHARE * spacing);
-        let most = tolerated / sigma_s * control.rhythm.interval().seconds();
-        spacing.min(most.max(super::QUARTER_DEGREE_RAD))
-    }
-
     fn on_line(
         &mut self,
         line: &LaserLine,
@@ -263,9 +232,9 @@ impl Flow {
             return;
         };
         self.deadline = now + self.patience(control, config);
-        let (first, last) = self.ends();
-        let direction = self.direction();
-        let step = self.step_at(here.angle_rad, control, config);
+        let (first, last) = self.way.ends();
+        let direction = self.way.direction();
+        let step = self.way.step_at(here.angle_rad, control, config);
         if self.stage == Stage::Approaching {
             let off = (here.angle_rad - first).abs();
             if off > 0.5 * step && (here.angle_rad - first) * direction < 0.0 || off > 1.5 * step {
@@ -279,7 +248,7 @@ impl Flow {
             self.stage = Stage::Flowing;
             self.furthest_rad = here.angle_rad;
             self.idle_lines = 0;
-            if let FlowDrive::Rate { rate_rad_s, .. } = self.drive {
+            if let FlowDrive::Rate { rate_rad_s, .. } = self.way.drive {
                 let rate = Demand::Rate(direction * rate_rad_s);
                 actions.push(HeadAction::Send(control.command_tilt(rate, now)));
             }
@@ -292,9 +261,12 @@ impl Flow {
         if (last - here.angle_rad) * direction <= 0.5 * step {
             self.close(control, now, actions);
         } else if !self.end_if_stuck(control, now, actions)
-            && matches!(self.drive, FlowDrive::SetPoints { .. })
+            && matches!(self.way.drive, FlowDrive::SetPoints { .. })
+            && let Some(next) = self.way.next_set_point(line, self.demanded, control, config, now)
         {
-            self.lead_on(line, control, config, now, actions);
+            self.demanded = next;
+            let demand = Demand::Angle(next.radians());
+            actions.push(HeadAction::Send(control.command_tilt(demand, now)));
         }
     }
 
@@ -327,63 +299,9 @@ impl Flow {
         true
     }
 
-    /// Sets the point ahead so that the tilt comes on by one row between the next two castings that a
-    /// command sent now can still influence.
-    fn lead_on(
-        &mut self,
-        line: &LaserLine,
-        control: &mut HeadControl,
-        config: &AcquisitionConfig,
-        now: Arrival,
-        actions: &mut Vec<HeadAction>,
-    ) {
-        let Some(sent) = control.clock().earliest(now) else { return };
-        let in_force = sent + control.timing.command_delay;
-        let interval = control.rhythm.interval();
-        let mut cast = control.cast_time(line) + interval;
-        let half = Span::from_seconds(0.5 * interval.seconds());
-        // A line lost or late leaves `cast` in the past; the bound keeps a broken clock from spinning.
-        for _ in 0..64 {
-            if cast >= in_force + half {
-                break;
-            }
-            cast = cast + interval;
-        }
-        let (Some(before), Some(start)) =
-            (control.tilt.estimate(cast - interval), control.tilt.estimate(in_force))
-        else {
-            return;
-        };
-        let direction = self.direction();
-        let step = self.step_at(before.angle_rad, control, config);
-        let wanted = before.angle_rad + direction * step;
-        let set_point = match control.tilt.law() {
-            Some(law) => {
-                let state =
-                    super::ServoState { angle_rad: start.angle_rad, rate_rad_s: start.rate_rad_s };
-                law.set_point_for(state, wanted, (cast - in_force).seconds())
-            }
-            None => wanted,
-        };
-        // Beyond the last row no more than one proportional gap, which keeps the speed up to the end.
-        let (_, last) = self.ends();
-        let beyond = last + direction * super::HINGE_GAP_RAD;
-        let far = start.angle_rad + direction * LONGEST_LEAD_RAD;
-        let nearest = |a: f64, b: f64| if direction > 0.0 { a.min(b) } else { a.max(b) };
-        let reachable = control.head().tilt().map_or(0.0, |axis| axis.clamp(nearest(beyond, far)));
-        let limited = if set_point.is_finite() { nearest(set_point, reachable) } else { reachable };
-        let next = QuarterDegrees::nearest(limited);
-        let onwards = f64::from(next.0 - self.demanded.0) * direction > 0.0;
-        if onwards {
-            self.demanded = next;
-            let demand = Demand::Angle(next.radians());
-            actions.push(HeadAction::Send(control.command_tilt(demand, now)));
-        }
-    }
-
     fn close(&mut self, control: &mut HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
         self.stage = Stage::Closing;
-        let rest = match self.drive {
+        let rest = match self.way.drive {
             FlowDrive::Rate { .. } => Some(Demand::Rate(0.0)),
             FlowDrive::SetPoints { .. } => None,
         };
@@ -395,7 +313,8 @@ impl Flow {
         if !reads || self.is_dated(control) {
             self.finish(control, now, actions);
         } else {
-            self.deadline = now + control.clock().arrival_span(CLOSING);
+            let late = control.readings_late().min(LATEST);
+            self.deadline = now + control.clock().arrival_span(CLOSING + late);
         }
     }
 
@@ -420,9 +339,9 @@ impl Flow {
             }
             Stage::Approaching | Stage::Flowing if self.repeats == 0 => {
                 self.repeats += 1;
-                let demand = match (self.stage, self.drive) {
+                let demand = match (self.stage, self.way.drive) {
                     (Stage::Flowing, FlowDrive::Rate { rate_rad_s, .. }) => {
-                        Demand::Rate(self.direction() * rate_rad_s)
+                        Demand::Rate(self.way.direction() * rate_rad_s)
                     }
                     _ => Demand::Angle(self.demanded.radians()),
                 };
@@ -471,17 +390,27 @@ impl Flow {
         }
     }
 
+    /// Metres that the body drove since the first line.
+    fn driven_m(&self, control: &HeadControl) -> f64 {
+        let first = self.taken.first().map(|taken| control.cast_time(&taken.line));
+        first.map_or(0.0, |first| control.body.driven_m(first))
+    }
+
     fn finish(&mut self, control: &HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
         let reached_end = self.stage == Stage::Closing;
         self.stage = Stage::Finished;
-        let rows = self.rows(control);
-        let unsupported = rows.iter().filter(|(_, supported)| !supported).count();
+        let rows = dated_rows(&self.taken, &self.way, self.pan_rad, self.driving, control);
+        let unsupported = rows.iter().filter(|row| !row.supported).count();
         let reads = control.tilt.last_reading().is_some();
+        if reads && self.readings_late > LATE {
+            let seconds = self.readings_late.seconds();
+            self.remarks.push(format!("the tilt's readings came late, by {seconds:.1} s or more"));
+        }
         if reads && unsupported > 0 {
             self.remarks
                 .push(format!("{unsupported} rows are filed by the servo law: no reading near"));
         }
-        let filed: Vec<FiledRow> = rows.into_iter().map(|(row, _)| row).collect();
+        let filed: Vec<FiledRow> = rows.into_iter().map(|dated| dated.row).collect();
         let mean_square = |value: fn(&FiledRow) -> f64| {
             let sum: f64 = filed.iter().map(|row| value(row) * value(row)).sum();
             (sum / filed.len().max(1) as f64).sqrt()
@@ -491,7 +420,7 @@ impl Flow {
             image_of(&filed, &control.robot_from_scan(), |pose| control.scan_from_sensor(pose));
         actions.push(HeadAction::Finished(Box::new(Scan {
             image,
-            profile: self.profile.name.clone(),
+            profile: self.way.profile.name.clone(),
             complete: reached_end && !filed.is_empty(),
             filed: filed.len(),
             gaps: 0,
@@ -504,69 +433,11 @@ impl Flow {
                 time_s: control.timing.sigma.seconds(),
             },
             budget: self.budget,
+            driven_m: self.driving.then(|| self.driven_m(control)),
             started: self.started,
             ended: now,
             remarks: self.remarks.clone(),
         })));
         self.taken.clear();
     }
-
-    /// The rows under the tilts that all readings, the later ones included, give them; and whether a
-    /// reading supports each.
-    fn rows(&self, control: &HeadControl) -> Vec<(FiledRow, bool)> {
-        const SUPPORT: Span = Span::from_millis(400);
-        const READING_SIGMA_RAD: f64 = 1e-4;
-        let cycle = match self.drive {
-            FlowDrive::Rate { cycle_s, .. } => Span::from_seconds(cycle_s),
-            FlowDrive::SetPoints { .. } => Span::ZERO,
-        };
-        let mut rows: Vec<(FiledRow, bool)> = Vec::new();
-        let mut kept: Option<f64> = None;
-        let mut due: Option<Stamp> = None;
-        for taken in &self.taken {
-            let cast = control.cast_time(&taken.line);
-            let Some(estimate) = control.tilt.estimate(cast) else { continue };
-            let closest = match self.drive {
-                FlowDrive::SetPoints { .. } => {
-                    CLOSEST * self.spacing_at(estimate.angle_rad).min(DENSE_RAD)
-                }
-                FlowDrive::Rate { .. } => 0.0,
-            };
-            let nothing_new = kept.is_some_and(|tilt| (estimate.angle_rad - tilt).abs() < closest);
-            if nothing_new || due.is_some_and(|due| cast < due) {
-                continue;
-            }
-            kept = Some(estimate.angle_rad);
-            // Counted from the first row, so that waiting for lines does not stretch the cycle.
-            due = Some(due.unwrap_or(cast) + cycle);
-            let supported = estimate.support.is_some_and(|span| span <= SUPPORT);
-            let still = if supported {
-                READING_SIGMA_RAD
-            } else {
-                let moved = control
-                    .tilt
-                    .estimate(cast - control.rhythm.interval())
-                    .map_or(0.0, |before| before.angle_rad - estimate.angle_rad);
-                control.timing.model_sigma_rad.hypot(LAW_ERROR * moved)
-            };
-            let moving = estimate.rate_rad_s * control.timing.sigma.seconds();
-            rows.push((
-                FiledRow {
-                    demanded: taken.demanded,
-                    pose: HeadPose { pan_rad: self.pan_rad, tilt_rad: estimate.angle_rad },
-                    tilt_sigma_rad: still.hypot(moving),
-                    reference_from_robot: nalgebra::Isometry3::identity(),
-                    line: Some(taken.line.clone()),
-                },
-                supported,
-            ));
-        }
-        rows
-    }
 }
-
-/// A law found to a few percent predicts a move to a few percent.
-const LAW_ERROR: f64 = 0.03;
-
-/// A set-point farther ahead than this makes no joint faster, and takes longer to call back.
-const LONGEST_LEAD_RAD: f64 = 0.1;

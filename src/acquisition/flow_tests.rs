@@ -114,7 +114,6 @@ fn without_rates_the_continuous_profile_steps_at_the_same_speed() {
 }
 
 #[test]
-#[ignore = "known defect: without tilt readings fast wide rows are 0.7° off and 0.13° is told"]
 fn the_error_told_with_a_scan_covers_the_error_made() {
     for (name, behaviour) in kinds() {
         let mut bed = Testbed::new(behaviour, Faults::default(), 25);
@@ -165,14 +164,14 @@ fn a_laser_that_stops_in_motion_ends_the_sweep_with_the_rows_before() {
 }
 
 #[test]
-fn late_readings_in_motion_leave_the_servo_law_to_date_the_rows() {
+fn late_readings_in_motion_are_waited_for_and_told() {
     let faults = Faults { reading_delay_s: 2.0, swap_readings: true, ..Faults::default() };
     let mut bed = Testbed::new(ut2004(true), faults, 29);
     let mut acquisition = calibrated(&mut bed);
     let scan = take(&mut bed, &mut acquisition, SweepRequest::flowing(Profile::coarse(0.5)));
     assert!(scan.complete, "{:?}", scan.remarks);
     assert!(quantile(&bed.tilt_errors_deg(&scan), 0.99) < 0.15);
-    assert!(scan.remarks[0].contains("no reading near"), "{:?}", scan.remarks);
+    assert!(scan.remarks[0].contains("readings came late"), "{:?}", scan.remarks);
 }
 
 #[test]
@@ -190,7 +189,6 @@ fn a_room_that_tells_nothing_leaves_the_lag_unknown_and_says_so() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(10))]
     #[test]
-    #[ignore = "known defect: some links' rows are 0.16° off in the median since wide rows are taken fast"]
     fn any_link_is_calibrated_and_its_rows_are_true(
         speed in 0.08..0.6f64, gap_deg in 1.2..2.8f64, burst in 0.12..0.3f64, share in 0.0..1.0f64,
         line_lags: bool, readings: bool, up in 0.0..0.03f64, down in 0.0..0.03f64, seed: u64

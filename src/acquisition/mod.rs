@@ -6,14 +6,18 @@
 //! stamp at which they are in force. A line is filed only if its own stamp is later than the time at
 //! which the tilt rests for certain.
 
+mod body;
 mod calibrate;
 mod clock;
 mod config;
 mod control;
+mod cyclic;
+mod dated;
 mod fix;
 mod flow;
 mod guard;
 mod identify;
+mod nod;
 mod park;
 mod policy;
 mod profile;
@@ -23,15 +27,19 @@ mod sweep;
 #[cfg(test)]
 mod testbed;
 mod track;
+mod way;
 
+pub use body::BodyTrack;
 pub use calibrate::CalibrationReport;
 pub use clock::{ClockStep, StampClock};
 pub use config::AcquisitionConfig;
 pub use control::{HeadControl, Timing};
+pub use cyclic::{CyclicSource, RecordedTriples, Triple, TripleError, scan_by_request};
 pub use fix::{TiltFix, TiltReference};
 pub use flow::{Flow, FlowDrive};
 pub use guard::{GuardConfig, GuardTilt, guard_tilt};
 pub use identify::{Observation, ServoFit};
+pub use nod::NodTerms;
 pub use park::ParkState;
 pub use policy::{Interest, Offer, RING_M};
 pub use profile::{Clipped, FanConfig, Profile, QUARTER_DEGREE_RAD, QuarterDegrees};
@@ -45,8 +53,10 @@ use crate::robot::{Demand, GroundView, HeadPose, HeadReading, Rig, ScanHead};
 use crate::scan::LaserLine;
 use crate::time::{Arrival, Stamp};
 use calibrate::{Calibration, reference_profile};
+use nalgebra::Isometry3;
 use park::Park;
 use serde::{Deserialize, Serialize};
+use way::Way;
 
 /// Speed of a pan-tilt link whose CONF is silent: CameraPanTilt's (protocol 5.4).
 const USUAL_LINK_SPEED_RAD_S: f64 = 0.17;
@@ -78,6 +88,8 @@ pub struct HeadCommand {
 pub enum HeadAction {
     /// Command the head's joints.
     Send(HeadCommand),
+    /// Ask the laser for a line: it speaks only when asked.
+    Ask,
     /// A row was filed.
     Filed {
         /// Its place in the profile.
@@ -115,6 +127,10 @@ pub enum SweepMode {
     /// It never rests, and each row is filed under the angle at which it was taken. Needs a
     /// calibrated head; a head that is not takes the rows at the coarse tolerance instead.
     Flowing,
+    /// The same while the robot drives slowly: rows are displaced by how the body moved, as
+    /// [`Acquisition::moved`] tells it. The rows are taken in the profile's order. A head that is not
+    /// calibrated cannot.
+    Nodding,
     /// It turns at a constant rate: the paper's way on the real robot. Where the server knows no
     /// rates, by a set-point for each line.
     Continuous {
@@ -155,6 +171,11 @@ impl SweepRequest {
     /// `profile` with motion and laser overlapped.
     pub fn flowing(profile: Profile) -> Self {
         Self { profile, pan_rad: 0.0, mode: SweepMode::Flowing }
+    }
+
+    /// `profile` taken on the way.
+    pub fn nodding(profile: Profile) -> Self {
+        Self { profile, pan_rad: 0.0, mode: SweepMode::Nodding }
     }
 
     /// The same with the pan held at `pan_rad`.
@@ -236,7 +257,14 @@ impl Acquisition {
     pub fn start(&mut self, request: SweepRequest, now: Arrival) -> Vec<HeadAction> {
         let limits = self.control.head().tilt().and_then(|axis| axis.limits);
         let (profile, clipped) = request.profile.clipped(limits);
-        let profile = profile.from_nearer_end(self.control.tilt.target_rad().unwrap_or(0.0));
+        let driving = request.mode == SweepMode::Nodding;
+        let profile = match driving {
+            true => profile,
+            false => profile.from_nearer_end(self.control.tilt.target_rad().unwrap_or(0.0)),
+        };
+        if driving {
+            self.control.body.forget();
+        }
         let limited =
             clipped.map(|clipped| format!("the tilt's limits cut {} rows off", clipped.rows));
         let coarse = self.config.coarse_tolerance_deg.to_radians();
@@ -250,7 +278,9 @@ impl Acquisition {
                 let step = rate_rad_s * self.control.rhythm.interval().seconds();
                 (Some(FlowDrive::SetPoints { step_rad: Some(step) }), coarse)
             }
-            SweepMode::Flowing => (Some(FlowDrive::SetPoints { step_rad: None }), coarse),
+            SweepMode::Flowing | SweepMode::Nodding => {
+                (Some(FlowDrive::SetPoints { step_rad: None }), coarse)
+            }
         };
         let (control, config) = (&mut self.control, &self.config);
         let pan_rad = request.pan_rad;
@@ -266,7 +296,7 @@ impl Acquisition {
             }
             Some(drive) => {
                 let (mut flow, actions) =
-                    Flow::start(profile, drive, pan_rad, control, config, now);
+                    Flow::start(Way { profile, drive }, pan_rad, driving, control, config, now);
                 limited.into_iter().for_each(|text| flow.remark(text));
                 let over = flow.is_finished();
                 self.activity =
@@ -287,6 +317,31 @@ impl Acquisition {
         let pace = policy::Pace::of(&self.control, &self.config, flowing && self.is_calibrated());
         let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
         policy::choose(view, &self.config.fan, interest, &pace, tilt_rad)
+    }
+
+    /// The sweep to be taken while the robot drives on, if that is worth more than stopping for one.
+    ///
+    /// # Errors
+    ///
+    /// Why none should be, in plain words.
+    pub fn choose_nod(
+        &self,
+        view: &GroundView<'_>,
+        interest: &Interest,
+        terms: &NodTerms,
+    ) -> Result<Offer, String> {
+        if !self.is_calibrated() {
+            return Err("the tilt's law is not known".to_owned());
+        }
+        let pace = policy::Pace::of(&self.control, &self.config, true);
+        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
+        nod::choose(view, &self.config.fan, interest, &pace, tilt_rad, terms)
+    }
+
+    /// Takes note of where the robot's body is, by odometry and inertial unit, in any frame that stays
+    /// the same during a sweep.
+    pub fn moved(&mut self, stamp: Stamp, frame_from_robot: Isometry3<f64>) {
+        self.control.body.note(stamp, frame_from_robot);
     }
 
     /// How long a sweep over `profile` should take from where the tilt is, in seconds.
@@ -318,6 +373,7 @@ impl Acquisition {
     pub fn parked(&self, now: Arrival) -> ParkState {
         match &self.activity {
             Activity::Parking(park) => park.state(&self.control, now),
+            Activity::Flowing(flow) if flow.is_driving() => ParkState::Nodding,
             _ => ParkState::NotParked,
         }
     }
@@ -329,7 +385,14 @@ impl Acquisition {
             Activity::Idle => Vec::new(),
             Activity::Parking(park) => {
                 let commands = park.handle(jumped, &mut self.control, &self.config, now);
-                commands.into_iter().map(HeadAction::Send).collect()
+                let ask = self.control.must_ask()
+                    && self.control.clock().latest().is_some()
+                    && self.control.may_ask_at().is_none_or(|at| now >= at);
+                if ask {
+                    self.control.ask(now);
+                }
+                let sent = commands.into_iter().map(HeadAction::Send);
+                sent.chain(ask.then_some(HeadAction::Ask)).collect()
             }
             Activity::Sweeping(sweep) => {
                 let actions = sweep.handle(event, jumped, &mut self.control, &self.config, now);
@@ -362,6 +425,8 @@ impl Acquisition {
             Activity::Sweeping(sweep) => sweep.next_wakeup(),
             Activity::Flowing(flow) => flow.next_wakeup(),
             Activity::Calibrating(calibration) => calibration.next_wakeup(),
+            // The guard line of a scanner that speaks only when asked.
+            Activity::Parking(_) if self.control.must_ask() => self.control.may_ask_at(),
             Activity::Idle | Activity::Parking(_) => None,
         }
     }

@@ -13,6 +13,8 @@ pub enum ParkState {
     NotParked,
     /// On its way.
     Moving,
+    /// A sweep is taken while the robot drives: there is no guard line.
+    Nodding,
     /// There by computation; the rig sends no readings.
     Computed {
         /// Lines stamped from here on were taken under `pose`.
@@ -39,7 +41,7 @@ impl ParkState {
     pub fn covers(&self, stamp: Stamp) -> bool {
         match *self {
             Self::Computed { since, .. } | Self::Verified { since, .. } => stamp >= since,
-            Self::NotParked | Self::Moving | Self::Elsewhere { .. } => false,
+            Self::NotParked | Self::Moving | Self::Nodding | Self::Elsewhere { .. } => false,
         }
     }
 }

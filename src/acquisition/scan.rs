@@ -28,6 +28,9 @@ pub struct Scan {
     pub errors: ScanErrors,
     /// Where the time went.
     pub budget: TimeBudget,
+    /// Metres that the robot drove meanwhile; `None` for a scan taken standing. The rows of one taken
+    /// under way are displaced to where they were seen from the robot's newest pose.
+    pub driven_m: Option<f64>,
     /// When the first command was sent.
     pub started: Arrival,
     /// When the last row was filed or given up.

@@ -51,6 +51,9 @@ struct Waiting {
     settled: Option<Stamp>,
     slew_s: f64,
     deadline: Arrival,
+    /// When a scanner that speaks only when asked is to be asked.
+    ask_at: Option<Arrival>,
+    asked: bool,
     repeated: bool,
     /// The last reading that contradicted the demand, if the newest one did.
     elsewhere: Option<f64>,
@@ -135,6 +138,7 @@ impl Sweep {
                     self.on_line(line, control, config, now, &mut actions);
                 }
                 self.on_time(control, config, now, &mut actions);
+                self.ask(control, config, now, &mut actions);
             }
             Step::NeedsClock { .. } | Step::Finished => {}
         }
@@ -145,7 +149,9 @@ impl Sweep {
     pub fn next_wakeup(&self) -> Option<Arrival> {
         match &self.step {
             Step::NeedsClock { deadline } => Some(*deadline),
-            Step::Waiting(waiting) => Some(waiting.deadline),
+            Step::Waiting(waiting) => {
+                Some(waiting.ask_at.map_or(waiting.deadline, |at| at.min(waiting.deadline)))
+            }
             Step::Finished => None,
         }
     }
@@ -210,6 +216,8 @@ impl Sweep {
             settled: settle.map(|_| in_force + expected),
             slew_s: settle.unwrap_or(unknown).slew_s,
             deadline: now + control.clock().arrival_span(expected + lines) + config.row_timeout(),
+            ask_at: control.must_ask().then(|| now + control.clock().arrival_span(expected)),
+            asked: false,
             repeated,
             elsewhere: None,
         });
@@ -328,6 +336,34 @@ impl Sweep {
         self.next_row(row, control, config, now, actions);
     }
 
+    /// Asks a scanner that speaks only when asked for a line, once the tilt rests: the server is at
+    /// least as late as its clock's lower bound, so that the rays are cast after that.
+    fn ask(
+        &mut self,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        let Step::Waiting(waiting) = &mut self.step else { return };
+        if waiting.ask_at.is_none_or(|at| now < at) {
+            return;
+        }
+        let patience = Span::from_seconds(config.unknown_settle_s);
+        let rests = waiting.settled.unwrap_or(waiting.in_force + patience) + STAMP_ROUNDING;
+        let wait = control.clock().earliest(now).map_or(Span::ZERO, |server| rests - server);
+        waiting.ask_at = Some(if wait > Span::ZERO {
+            now + control.clock().arrival_span(wait).max(Span::from_millis(2))
+        } else if let Some(at) = control.may_ask_at().filter(|&at| at > now && waiting.asked) {
+            at
+        } else {
+            waiting.asked = true;
+            control.ask(now);
+            actions.push(HeadAction::Ask);
+            control.may_ask_at().unwrap_or(waiting.deadline)
+        });
+    }
+
     fn extend_deadline(&mut self, deadline: Arrival) {
         if let Step::Waiting(waiting) = &mut self.step {
             waiting.deadline = deadline;
@@ -414,6 +450,7 @@ impl Sweep {
                 time_s: 0.0,
             },
             budget: self.budget,
+            driven_m: None,
             started: self.started,
             ended: now,
             remarks: self.remarks.clone(),

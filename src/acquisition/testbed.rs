@@ -246,7 +246,8 @@ impl Testbed {
                 }
                 HeadAction::Finished(scan) => finished = Some(*scan),
                 HeadAction::Calibrated(report) => self.calibrations.push(*report),
-                HeadAction::Filed { .. } => {}
+                // Its scanner speaks by itself.
+                HeadAction::Ask | HeadAction::Filed { .. } => {}
             }
         }
         finished

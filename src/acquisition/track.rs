@@ -53,6 +53,8 @@ pub struct AxisTrack {
 
 /// Commands and readings older than this are folded into the start: longer than any sweep.
 const KEPT: Span = Span::from_millis(300_000);
+/// Share of the way between two readings by which the law may miss the second.
+const MISSED_SHARE: f64 = 0.3;
 /// Folding is done in batches, so that a reading costs no shifting of the whole list.
 const FOLD_AT: usize = 4_096;
 
@@ -243,7 +245,8 @@ impl AxisTrack {
             state = self.step(law, state, demand, stamp - at);
             (at, demand) = (stamp, Some(next));
         }
-        if to > at { self.step(law, state, demand, to - at) } else { state }
+        // Over no time at all the angle stays and the rate becomes the law's.
+        if to >= at { self.step(law, state, demand, to - at) } else { state }
     }
 
     fn step(
@@ -272,6 +275,14 @@ impl AxisTrack {
         }
         let start = self.state_at_reading(a);
         let miss = b.angle_rad - self.propagate(start, a.stamp, b.stamp).angle_rad;
+        // A law that misses by much of the way was given commands at the wrong times: its curve is
+        // worth less than the straight line.
+        let way = (b.angle_rad - a.angle_rad).abs();
+        if miss.abs() > (MISSED_SHARE * way).max(a.half_width_rad + b.half_width_rad) {
+            let rate_rad_s = (b.angle_rad - a.angle_rad) / (b.stamp - a.stamp).seconds().max(1e-9);
+            let angle_rad = a.angle_rad + share * (b.angle_rad - a.angle_rad);
+            return ServoState { angle_rad, rate_rad_s };
+        }
         let here = self.propagate(start, a.stamp, stamp);
         let rate_of_miss = miss / (b.stamp - a.stamp).seconds().max(1e-9);
         ServoState {

@@ -376,9 +376,11 @@ impl Running {
             self.refresh_grid(desk.now);
         }
         let parked = self.parked(desk.now);
-        if parked == ParkState::NotParked {
-            self.park(desk);
+        match parked {
+            ParkState::NotParked => self.park(desk),
+            parked => self.consider_nod(parked, desk),
         }
+        let parked = self.parked(desk.now);
         let pose = self.pose2();
         let (command, progress) = self.pilot.follow(&pose, &self.grid, parked, desk.now);
         match progress {
@@ -405,6 +407,7 @@ impl Running {
 
     /// Stops and sweeps where the robot stands.
     fn look_here(&mut self, desk: &mut Desk<'_>) {
+        self.end_nod("the robot stops to look", desk);
         match self.best_look(desk.config) {
             Some(offer) => {
                 desk.info(format!("looking: {}", offer.reason));

@@ -58,6 +58,11 @@ pub struct MissionConfig {
     /// Whether the tilt's motion is identified at the start, and exploration sweeps are then taken
     /// in motion instead of coming to rest at every row.
     pub flowing_sweeps: bool,
+    /// Whether sweeps are also taken while the robot drives on slowly, where that shows more per second
+    /// than a stop.
+    pub nodding: bool,
+    /// Which sweeps explore.
+    pub looks: LookPolicy,
     /// Standing still before a sweep, in seconds, so that the body has come to rest. [0, 10]
     pub settle_s: f64,
     /// Ground beyond the robot's turning circle that is assumed at the start, in metres. [0, 2]
@@ -93,6 +98,21 @@ pub enum FineSweep {
     Continuous,
 }
 
+/// Which sweep is taken where the robot stops to look.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LookPolicy {
+    /// The one that shows most per second.
+    #[default]
+    Auto,
+    /// The full sweep of 220 rows, taken as the one at the start.
+    Full,
+    /// The whole height in rows of 2°.
+    Coarse,
+    /// The whole ground fan.
+    Fan,
+}
+
 impl Default for MissionConfig {
     fn default() -> Self {
         Self {
@@ -105,6 +125,8 @@ impl Default for MissionConfig {
             fine_sweep_at_start: true,
             fine_sweep: FineSweep::Auto,
             flowing_sweeps: true,
+            nodding: true,
+            looks: LookPolicy::Auto,
             settle_s: 0.6,
             assumed_margin_m: 0.1,
             silence_s: 1.5,

@@ -121,6 +121,13 @@ impl Belief {
         after * now_from_then
     }
 
+    /// Maps an image taken under way, its rows displaced to where they were seen from where the robot
+    /// is now.
+    pub fn take_way_image(&mut self, image: RangeImage) {
+        self.live.integrate(&image, &self.world_from_robot());
+        self.leg.lines.push((self.keyframe_from_robot, self.leg.path_m, image));
+    }
+
     /// Maps a line of a fixed laser as flat occupancy (2D mode).
     pub fn take_flat_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) -> bool {
         let place = self.at(line.stamp).or_else(|| {

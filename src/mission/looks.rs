@@ -1,8 +1,8 @@
 //! What a sweep from where the robot stands could still show, and which sweep to take for it.
 
-use super::config::{AgentConfig, FineSweep};
+use super::config::{AgentConfig, FineSweep, LookPolicy};
 use super::running::Running;
-use crate::acquisition::{Interest, Offer, SweepRequest};
+use crate::acquisition::{Interest, Offer, Profile, SweepRequest};
 use crate::mapping::Mode as MapperMode;
 use crate::terrain::CellClass;
 
@@ -18,7 +18,7 @@ const WAY_HALF_WIDTH_M: f64 = 0.5;
 
 impl Running {
     /// The ground in sight that was not seen well enough.
-    fn interest(&self) -> Interest {
+    pub(super) fn interest(&self) -> Interest {
         let mut interest = Interest::default();
         let Some(acquisition) = &self.acquisition else { return interest };
         let reach_m = acquisition.config().fan.reach_m;
@@ -58,15 +58,33 @@ impl Running {
     pub(super) fn best_look(&self, config: &AgentConfig) -> Option<Offer> {
         let view = self.rig.ground_view()?;
         let flowing = config.mission.flowing_sweeps;
-        self.acquisition.as_ref()?.choose(&view, &self.interest(), flowing)
+        let acquisition = self.acquisition.as_ref()?;
+        let interest = self.interest();
+        let offer = acquisition.choose(&view, &interest, flowing)?;
+        let taken = |profile: Profile| match flowing {
+            true => SweepRequest::flowing(profile),
+            false => SweepRequest::coarse(profile, acquisition.config()),
+        };
+        let request = match config.mission.looks {
+            LookPolicy::Auto => return Some(offer),
+            // What must be seen finely is, whatever the settings say.
+            _ if !interest.required_m.is_empty() => return Some(offer),
+            LookPolicy::Full => self.full_sweep(config)?,
+            LookPolicy::Coarse => taken(Profile::coarse(2.0)),
+            LookPolicy::Fan => self.fan(config)?,
+        };
+        let reason = format!("{}, as the settings say", request.profile.name);
+        let seconds = acquisition.seconds_for(&request.profile, flowing);
+        Some(Offer { request, seconds, reason, ..offer })
     }
 
     /// The full sweep with which a mission begins, if it begins with one.
     pub(super) fn first_sweep(&self, config: &AgentConfig) -> Option<SweepRequest> {
+        config.mission.fine_sweep_at_start.then(|| self.full_sweep(config))?
+    }
+
+    fn full_sweep(&self, config: &AgentConfig) -> Option<SweepRequest> {
         let acquisition = self.acquisition.as_ref()?;
-        if !config.mission.fine_sweep_at_start {
-            return None;
-        }
         let by_paper = config.belief.mapper.mode == MapperMode::Mip;
         Some(match config.mission.fine_sweep {
             FineSweep::Continuous => SweepRequest::continuous(),

@@ -14,6 +14,7 @@ mod ledger;
 mod lines;
 mod looks;
 mod motion;
+mod nod;
 mod observe;
 mod opening;
 mod operator;
@@ -28,7 +29,7 @@ mod teleop;
 
 pub use agent::Agent;
 pub use belief::{Belief, BeliefConfig, ScanFindings};
-pub use config::{AgentConfig, FineSweep, MissionConfig};
+pub use config::{AgentConfig, FineSweep, LookPolicy, MissionConfig};
 pub use event::{Action, Event, Outcome};
 pub use journal::{Journal, Level, Note};
 pub use ledger::{Ledger, Pastime, SweepEntry, TimeSplit};

@@ -92,6 +92,26 @@ impl Pilot {
         self.guard_tilt
     }
 
+    /// Greatest speed with and without a guard line, in m/s.
+    pub fn speeds_mps(&self) -> (f64, f64) {
+        (self.follower.config().full_mps, self.slow_mps)
+    }
+
+    /// How far the path leads on from `pose` over ground that was seen well, up to `within_m`.
+    pub fn sure_ahead_m(&self, pose: &Pose2, grid: &Grid, within_m: f64) -> f64 {
+        let path = self.follower.path();
+        let length_m = path.length_m();
+        let Some((from_m, _)) = path.nearest(&pose.point(), 0.0, length_m) else { return 0.0 };
+        let step_m = grid.cell_m().max(0.01);
+        let steps = ((length_m - from_m).min(within_m) / step_m).max(0.0) as u32;
+        let sure = (1..=steps).take_while(|&step| {
+            let at = path.pose_at(from_m + step_m * f64::from(step));
+            let seen = grid.get(grid.cell_of(at.x_m, at.y_m));
+            seen.class.is_drivable() && seen.sure
+        });
+        step_m * sure.count() as f64
+    }
+
     /// Takes a path to follow.
     pub fn set_path(&mut self, path: Path) {
         self.follower.set_path(path);
@@ -161,7 +181,7 @@ impl Pilot {
         let recent = |at: Option<Arrival>| at.is_some_and(|at| now - at <= self.guard_age);
         match parked {
             // A head that cannot be parked guards nothing: creep, over ground that was seen.
-            ParkState::Elsewhere { .. } => self.slow_mps,
+            ParkState::Elsewhere { .. } | ParkState::Nodding => self.slow_mps,
             _ if self.guard_tilt.is_none() => self.slow_mps,
             ParkState::NotParked | ParkState::Moving => 0.0,
             ParkState::Computed { .. } | ParkState::Verified { .. } => {

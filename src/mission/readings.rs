@@ -102,6 +102,10 @@ impl Running {
     fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
         self.last_wheels = wheels;
         self.belief.take_wheels(wheels, stamp);
+        let world_from_robot = self.belief.world_from_robot();
+        if let Some(acquisition) = &mut self.acquisition {
+            acquisition.moved(stamp, world_from_robot);
+        }
     }
 
     fn joints(&mut self, reading: HeadReading, desk: &mut Desk<'_>) {

@@ -132,6 +132,8 @@ pub struct Running {
     pub(super) wheel_count: WheelCount,
     /// The sweep that is being watched in a recording of somebody else.
     pub(super) observed: ObservedSweep,
+    /// Length of the path when a nod was last thought of.
+    pub(super) nod_asked_m: f64,
 }
 
 /// How a cycle ended for the mission as a whole.
@@ -194,6 +196,7 @@ impl Running {
             planar_lines: 0,
             wheel_count: WheelCount::default(),
             observed: ObservedSweep::default(),
+            nod_asked_m: 0.0,
             acquisition,
             belief,
             shape,

@@ -19,6 +19,7 @@ impl Running {
                 HeadAction::Send(command) => {
                     desk.out.extend(self.rig.head_commands(command.pan, command.tilt));
                 }
+                HeadAction::Ask => desk.out.extend(self.rig.trigger_command()),
                 HeadAction::Filed { .. } => {}
                 HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
                 HeadAction::Calibrated(report) => {
@@ -34,6 +35,9 @@ impl Running {
         self.ledger.sweep(&scan);
         for remark in &scan.remarks {
             desk.warn(format!("{} sweep: {remark}", scan.profile));
+        }
+        if scan.driven_m.is_some() {
+            return self.finish_nod(scan, desk);
         }
         if std::mem::take(&mut self.first_scan_due) {
             self.measure_floor(&scan, desk);

@@ -1,16 +1,20 @@
 //! An acquisition at the socket of a simulated robot that stands still, with the truth beside it.
 
+use nalgebra::Isometry3;
 use std::path::Path;
 use usar_agent::acquisition::{
     Acquisition, AcquisitionConfig, CalibrationReport, HeadAction, HeadEvent, Scan, SweepRequest,
 };
 use usar_agent::files::scenario;
-use usar_agent::mission::{Opening, OpeningConfig, OpeningStep, Placement};
+use usar_agent::mission::{
+    BodyAttitude, MotionTracker, Opening, OpeningConfig, OpeningStep, Placement, PlanarPose,
+};
 use usar_agent::protocol::message::Sen;
 use usar_agent::protocol::{
     Command, Dialect, Framed, LineSplitter, MAX_LINE_OCTETS, Message, encode_command, parse,
 };
-use usar_agent::robot::Rig;
+use usar_agent::robot::{BodySpeed, Rig};
+use usar_agent::scan::ImageRow;
 use usar_agent::sim::{CastTruth, ConnectionId, FaultSpec, PanTiltSpec, SensorSpec, Session};
 use usar_agent::time::{Arrival, Span, Stamp};
 
@@ -30,7 +34,9 @@ pub struct Setting {
 
 impl Setting {
     pub fn new(dialect: Dialect, readings: bool) -> Self {
-        Self { scenario: "box", dialect, readings, seed: 1, ..Self::default() }
+        // UDK's own robot carries no pan-tilt; that scenario gives it one.
+        let scenario = if dialect == Dialect::Udk { "station_udk" } else { "box" };
+        Self { scenario, dialect, readings, seed: 1, ..Self::default() }
     }
 }
 
@@ -45,6 +51,9 @@ pub struct Bench {
     pub acquisition: Acquisition,
     /// Where the tilt truly was, line by line.
     pub casts: Vec<CastTruth>,
+    motion: MotionTracker,
+    /// The robot by odometry and inertial unit, from where it stood first.
+    pub frame_from_robot: Isometry3<f64>,
     finished: Option<Scan>,
     calibrated: Option<CalibrationReport>,
     /// Lines of text sent since the last look.
@@ -61,12 +70,14 @@ impl Bench {
         scenario.dialect = setting.dialect;
         scenario.seed = setting.seed;
         scenario.faults.clone_from(&setting.faults);
-        scenario.robots[0].pan_tilt = Some(vec![PanTiltSpec {
-            name: "CameraPanTilt".to_owned(),
-            status: Some(setting.readings),
-            ..PanTiltSpec::default()
-        }]);
-        scenario.robots[0].sensors.extend(setting.scanner.clone());
+        let unit = PanTiltSpec { name: "CameraPanTilt".to_owned(), ..PanTiltSpec::default() };
+        let units = scenario.robots[0].pan_tilt.get_or_insert_with(|| vec![unit]);
+        units[0].status = Some(setting.readings);
+        if let Some(scanner) = &setting.scanner {
+            let sensors = &mut scenario.robots[0].sensors;
+            sensors.retain(|own| own.kind != scanner.kind);
+            sensors.push(scanner.clone());
+        }
         let mut session =
             Session::new(&loaded.files.world, &scenario, &loaded.files.catalogue).unwrap();
         let connection = session.connect();
@@ -83,6 +94,8 @@ impl Bench {
             rig,
             acquisition,
             casts: Vec::new(),
+            motion: MotionTracker::default(),
+            frame_from_robot: Isometry3::identity(),
             finished: None,
             calibrated: None,
             sent: Vec::new(),
@@ -102,6 +115,12 @@ impl Bench {
             self.step();
         }
         panic!("a calibration ends within a minute");
+    }
+
+    /// Turns the wheels so that the robot drives straight on.
+    pub fn drive(&mut self, linear_mps: f64) {
+        let command = self.rig.drive_command(BodySpeed { linear_mps, angular_rps: 0.0 });
+        self.send(&command);
     }
 
     /// Takes a scan.
@@ -146,6 +165,30 @@ impl Bench {
             self.latest = self.latest.max(stamp);
             self.event(&HeadEvent::Stamped(stamp));
         }
+        match message {
+            Message::Sen(Sen::Ins(ins)) => {
+                let ins = self.rig.ins(ins);
+                self.motion.attitude(BodyAttitude {
+                    roll_rad: ins.roll_rad,
+                    pitch_rad: ins.pitch_rad,
+                    heading_rad: ins.yaw_rad,
+                });
+            }
+            Message::Sen(Sen::Odometry(odometry)) => {
+                let reading = self.rig.odometry(odometry);
+                let wheels = PlanarPose {
+                    x_m: reading.odom_from_robot.translation.x,
+                    y_m: reading.odom_from_robot.translation.y,
+                    heading_rad: reading.odom_from_robot.rotation.angle(),
+                };
+                if let Some((increment, _)) = self.motion.wheels(wheels) {
+                    self.frame_from_robot *= increment;
+                }
+                let stamp = reading.stamp.unwrap_or(self.latest);
+                self.acquisition.moved(stamp, self.frame_from_robot);
+            }
+            _ => {}
+        }
         let reading = match message {
             Message::MisSta(state) => self.rig.head_reading(state),
             Message::AsTa(state) => self.rig.actuator_reading(state),
@@ -169,6 +212,10 @@ impl Bench {
                         self.send(&command);
                     }
                 }
+                HeadAction::Ask => {
+                    let ask = self.rig.trigger_command().unwrap();
+                    self.send(&ask);
+                }
                 HeadAction::Filed { .. } => {}
                 HeadAction::Finished(scan) => self.finished = Some(*scan),
                 HeadAction::Calibrated(report) => self.calibrated = Some(*report),
@@ -182,16 +229,27 @@ impl Bench {
         self.sent.push(String::from_utf8(line).unwrap());
     }
 
+    /// The truth of the line that a row holds.
+    pub fn cast_of(&self, row: &ImageRow) -> Option<&CastTruth> {
+        let stamp = row.stamp?;
+        self.casts.iter().rev().find(|cast| near(cast.printed, stamp))
+    }
+
     /// Error of each row against the true tilt when its rays were cast, in degrees.
     pub fn tilt_errors_deg(&self, scan: &Scan) -> Vec<f64> {
         let rows = scan.image.rows().iter();
         rows.filter_map(|row| {
-            let stamp = row.stamp?;
-            let cast = self.casts.iter().rev().find(|cast| cast.printed == stamp)?;
+            let cast = self.cast_of(row)?;
             Some((row.tilt_rad - cast.tilt_rad).to_degrees())
         })
         .collect()
     }
+}
+
+/// Whether two stamps are one but for the rounding to hundredths: lines are a tenth of a second apart
+/// at the least.
+pub fn near(a: Stamp, b: Stamp) -> bool {
+    (a - b).seconds().abs() < 0.006
 }
 
 /// The share-quantile of the absolute errors.

@@ -1,5 +1,9 @@
 //! Taking scans from the stand-in simulator, scored against its truth.
 
 mod bench;
+mod desync;
 mod faults;
+mod nod;
+mod planes;
 mod profiles;
+mod triggered;

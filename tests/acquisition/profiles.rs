@@ -46,7 +46,7 @@ fn row(bench: &Bench, scan: &Scan, dialect: Dialect) -> String {
 
 /// The table of the README: `tests/campaign/scans.sh` prints it.
 #[test]
-#[ignore = "twenty minutes of simulated scanning: tests/campaign/scans.sh"]
+#[ignore = "a table to read, half an hour of simulated scanning: tests/campaign/scans.sh"]
 fn table() {
     println!(
         "server           | profile    | rows  | seconds | bound   | ratio | median | p99 °  | \
@@ -77,7 +77,6 @@ fn table() {
 }
 
 #[test]
-#[ignore = "known defect: a UDK spring with readings is not calibrated"]
 fn the_model_profile_is_near_the_bound_and_true_on_every_server() {
     for (name, dialect, readings) in KINDS {
         let mut bench = Bench::new(&Setting::new(dialect, readings), AcquisitionConfig::default());
