@@ -91,23 +91,16 @@ struct Probe {
     kept: f64,
     /// Variance of a standard normal variable that is cut at its `kept` quantile of size.
     kept_variance: f64,
-    /// About how many samples are taken.
-    samples: usize,
 }
 
 impl Probe {
     fn near() -> Self {
-        Self { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE, samples: SAMPLES }
+        Self { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE }
     }
 
     fn far(down: usize, right: usize) -> Self {
         let (kept, kept_variance) = (FAR_KEPT, FAR_KEPT_VARIANCE);
-        Self { down, right, kept, kept_variance, samples: SAMPLES }
-    }
-
-    /// The same with fewer samples, enough to tell whether a variance is much larger.
-    fn brief(self) -> Self {
-        Self { samples: SAMPLES / 4, ..self }
+        Self { down, right, kept, kept_variance }
     }
 }
 
@@ -130,46 +123,32 @@ impl NoiseEstimator {
         let span = (nearest, RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3));
         let pitch = ((field.across_rad / field.along_rad).round() as usize).clamp(3, 8);
         let near = self.measure(field, span, Probe::near());
-        let (along, _) = self.measure(field, span, Probe::far(pitch, 0).brief());
-        let (across, _) = self.measure(field, span, Probe::far(0, 1).brief());
+        let (along, _) = self.measure(field, span, Probe::far(pitch, 0));
+        let (across, _) = self.measure(field, span, Probe::far(0, 1));
         let alike = growth(&near.0, &along) > MUCH_LARGER;
         // Noise of one size has the same variance whatever part of it is kept.
         let mixed = growth(&near.1, &near.0) > MIXED;
-        if alike || mixed || growth(&across, &near.0) > MUCH_LARGER {
-            self.estimate_alike(field, span, pitch, &near.0, alike)
+        let near = near.0;
+        let angle = if alike || mixed || growth(&across, &near) > MUCH_LARGER {
+            self.angle_error(field, span, pitch, &near)
         } else {
-            ReadingErrors::independent(self.model([&near.0]))
+            None
+        };
+        if !alike && angle.is_none() {
+            return ReadingErrors::independent(self.model([&near, &along, &across]));
         }
-    }
-
-    /// The errors where those of neighbours may be alike, or depend on more than the range.
-    fn estimate_alike(
-        &mut self,
-        field: &Field,
-        span: (f32, f32),
-        pitch: usize,
-        near: &Classes,
-        alike: bool,
-    ) -> ReadingErrors {
-        let angle = self.angle_error(field, span, pitch, near);
-        let angle_rad = angle.unwrap_or(0.0);
-        if !alike {
-            let noise = self.model([near]);
-            return ReadingErrors { angle_rad, ..ReadingErrors::independent(noise) };
-        }
-        let (along, _) = self.measure(field, span, Probe::far(pitch, 0));
-        let (along, length) = self.follow(field, span, [pitch, 0], along, near);
-        let common = (1.0 - 1.0 / growth(near, &along)).max(0.0);
+        let (along, length) = self.follow(field, span, [pitch, 0], along, &near);
+        let common = if alike { (1.0 - 1.0 / growth(&near, &along)).max(0.0) } else { 0.0 };
         let run = 1.0 + common * (length - 1.0);
-        if angle.is_some() {
-            let noise = self.model([near]);
+        if let Some(angle_rad) = angle {
+            // Along, the errors of the angle are told apart; what shows across is the range's.
+            let noise = self.model([&near, &across]);
             return ReadingErrors { noise, angle_rad, common, run, patch: run };
         }
-        let (across, _) = self.measure(field, span, Probe::far(0, 1));
         let (across, width) = self.follow(field, span, [0, 1], across, &across);
-        let noise = self.model([near, &along, &across]);
+        let noise = self.model([&near, &along, &across]);
         let patch = 1.0 + common * (length * width - 1.0);
-        ReadingErrors { noise, angle_rad, common, run, patch }
+        ReadingErrors { noise, angle_rad: 0.0, common, run, patch }
     }
 
     /// The noise that the first classes tell, or the others where these are much larger.
@@ -294,7 +273,7 @@ impl NoiseEstimator {
         self.counts.iter_mut().for_each(|class| class.fill(0));
         self.squares.iter_mut().for_each(|class| class.fill(0.0));
         let lanes = field.lanes;
-        let stride = (field.len() / probe.samples).max(1);
+        let stride = (field.len() / SAMPLES).max(1);
         let apart = probe.down * lanes + probe.right;
         let last = lanes.saturating_sub(3 * probe.right);
         for step in (0..field.steps.saturating_sub(3 * probe.down)).step_by(stride) {
