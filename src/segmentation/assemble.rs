@@ -21,6 +21,9 @@ const REPORTED_POINTS: usize = 10;
 /// The square at which an error is cut.
 const CAP_SQUARE: f32 = (CAP * CAP) as f32;
 
+/// Room for any reason, so that a string can take another one without a new allocation.
+const REASON_BYTES: usize = 64;
+
 /// About how many cells of a region tell which shape it has.
 const TRIAL_CELLS: usize = 250;
 
@@ -302,7 +305,7 @@ fn reject(
     points: usize,
     reason: std::fmt::Arguments,
 ) {
-    let mut text = spare.pop().unwrap_or_default();
+    let mut text = spare.pop().unwrap_or_else(|| String::with_capacity(REASON_BYTES));
     text.clear();
     text.write_fmt(reason).expect("writing to a string does not fail");
     result.rejected.push(Rejected { points, reason: text });
