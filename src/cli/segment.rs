@@ -5,7 +5,7 @@ use crate::files::pcd::read_pcd;
 use crate::files::replace::replace_file;
 use crate::scan::PointGrid;
 use crate::segmentation::{
-    Method, Segmentation, SegmentationConfig, Segmenter, Shape, Stage, Surface,
+    Method, ReadingErrors, Segmentation, SegmentationConfig, Segmenter, Shape, Stage, Surface,
 };
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -31,6 +31,9 @@ pub struct SegmentArguments {
     /// Structure that finds the regions
     #[arg(long, value_enum, default_value_t)]
     method: MethodArgument,
+    /// Leave out the check of the regions by their normals (the paper's chain)
+    #[arg(long)]
+    without_normal_check: bool,
     /// Fewest points of a surface
     #[arg(long, value_name = "N")]
     min_points: Option<usize>,
@@ -101,14 +104,15 @@ pub fn run(arguments: &SegmentArguments) -> Result<ExitCode> {
         MethodArgument::Paper => Method::Paper,
     };
     let mut config = SegmentationConfig { method, ..SegmentationConfig::default() };
+    config.paper.split_by_normals = !arguments.without_normal_check;
     if let Some(min_points) = arguments.min_points {
         config.min_points = min_points;
     }
     let mut segmenter = Segmenter::new(config);
     let times = time_runs(&mut segmenter, &grid, arguments.repeat);
-    let segmentation = segmenter.segment(&grid);
+    let segmentation = segmenter.result();
 
-    let document = document(segmentation, &whole, &times);
+    let document = document(segmentation, &segmenter.errors(), &whole, &times);
     if let Some(path) = &arguments.labels {
         let png = labels_png(segmentation, &whole, &columns)?;
         replace_file(path, &png).with_context(|| format!("cannot write {}", path.display()))?;
@@ -203,7 +207,12 @@ fn kind(surface: &Surface) -> &'static str {
 }
 
 /// The content of `surfaces.json`.
-fn document(segmentation: &Segmentation, whole: &PointGrid, times: &Times) -> Value {
+fn document(
+    segmentation: &Segmentation,
+    errors: &ReadingErrors,
+    whole: &PointGrid,
+    times: &Times,
+) -> Value {
     let rejected: Vec<Value> = segmentation
         .rejected
         .iter()
@@ -219,6 +228,7 @@ fn document(segmentation: &Segmentation, whole: &PointGrid, times: &Times) -> Va
         "columns": whole.columns(),
         "surfaces": segmentation.surfaces.iter().map(surface_json).collect::<Vec<_>>(),
         "rejected": rejected,
+        "reading_errors": errors,
         "timing_ms": timing,
     })
 }
@@ -258,7 +268,9 @@ fn surface_json(surface: &Surface) -> Value {
             "length_m": cylinder.length_m,
             "covariance": rows(&cylinder.covariance),
         }),
-        Shape::Other => json!({}),
+        Shape::Other => json!({
+            "reason": "no plane, sphere or cylinder within the limits describes its points",
+        }),
     };
     if let (Value::Object(all), Value::Object(more)) = (&mut value, more) {
         all.extend(more);

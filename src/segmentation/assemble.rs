@@ -13,9 +13,16 @@ use super::hull::HullFinder;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 use nalgebra::{Point2, Point3, Vector3};
 use std::fmt::Write as _;
+use std::ops::Range;
 
-/// Regions smaller than this share of `min_points` are not worth a line among the rejected.
-const REPORTED_SHARE: usize = 4;
+/// Rejected regions smaller than this share one line: a scan has hundreds of them.
+const REPORTED_POINTS: usize = 10;
+
+/// The square at which an error is cut.
+const CAP_SQUARE: f32 = (CAP * CAP) as f32;
+
+/// Room for any reason, so that a string can take another one without a new allocation.
+const REASON_BYTES: usize = 64;
 
 /// About how many cells of a region tell which shape it has.
 const TRIAL_CELLS: usize = 250;
@@ -78,6 +85,7 @@ impl Assembler {
         result: &mut Segmentation,
     ) {
         self.order.clear();
+        let (mut labelled, mut specks, mut speck_points) = (0, 0, 0);
         for component in 0..self.components.len() {
             let cells = self.components.cells(component);
             let first = if field.transposed {
@@ -86,22 +94,34 @@ impl Assembler {
                 cells.first().map(|&cell| cell as usize)
             };
             let first = first.expect("a component has at least the cell it was started from");
+            labelled += cells.len();
             if cells.len() >= config.min_points.max(3) {
                 self.order.push((first, component));
-            } else if cells.len() * REPORTED_SHARE >= config.min_points {
-                let mut reason = self.spare_reasons.pop().unwrap_or_default();
-                reason.clear();
-                write!(reason, "{} points, fewer than {}", cells.len(), config.min_points)
-                    .expect("writing to a string does not fail");
-                result.rejected.push(Rejected { points: cells.len(), reason });
+            } else if cells.len() >= REPORTED_POINTS {
+                let (points, least) = (cells.len(), config.min_points.max(3));
+                let reason = format_args!("{points} points, fewer than {least}");
+                reject(&mut self.spare_reasons, result, points, reason);
+            } else {
+                specks += 1;
+                speck_points += cells.len();
             }
+        }
+        if specks > 0 {
+            let reason =
+                format_args!("{specks} regions of fewer than {REPORTED_POINTS} points each");
+            reject(&mut self.spare_reasons, result, speck_points, reason);
+        }
+        let valid = field.range.iter().filter(|&&range| range > 0.0).count();
+        if valid > labelled {
+            let reason = format_args!("single points that no surface beside them explains");
+            reject(&mut self.spare_reasons, result, valid - labelled, reason);
         }
         self.order.sort_unstable();
         if self.order.len() > usize::from(u16::MAX) {
             for &(_, component) in &self.order[usize::from(u16::MAX)..] {
                 let points = self.components.cells(component).len();
-                let reason = "more regions than 16-bit labels".to_owned();
-                result.rejected.push(Rejected { points, reason });
+                let reason = format_args!("more regions than 16-bit labels");
+                reject(&mut self.spare_reasons, result, points, reason);
             }
             self.order.truncate(usize::from(u16::MAX));
         }
@@ -144,20 +164,23 @@ impl Assembler {
     ) -> (PlaneSums, Option<(PlaneFit, bool)>) {
         let cells = self.components.cells(component);
         let mut sums = PlaneSums::default();
-        for &cell in cells {
-            let cell = cell as usize;
-            sums.add(field.point(cell), field.weight(cell), self.core[cell]);
+        for run in runs(cells) {
+            let (x, y, z) = (&field.x[run.clone()], &field.y[run.clone()], &field.z[run.clone()]);
+            sums.add_run([x, y, z], &field.gain[run.clone()], &self.core[run]);
         }
         let Some(mut start) = PlaneStart::of(&sums) else { return (sums, None) };
         let mut error = 0.0;
-        for &cell in cells {
-            let cell = cell as usize;
-            let p = [field.x[cell], field.y[cell], field.z[cell]];
-            let e = start.settle(p, field.range[cell], field.gain[cell], self.core[cell]);
-            error += f64::from(e * e).min(CAP * CAP);
+        for run in runs(cells) {
+            let (x, y, z) = (&field.x[run.clone()], &field.y[run.clone()], &field.z[run.clone()]);
+            let (ranges, gains) = (&field.range[run.clone()], &field.gain[run.clone()]);
+            let points = x.iter().zip(y).zip(z).zip(ranges).zip(gains).zip(&self.core[run]);
+            for (((((&x, &y), &z), &range), &gain), &core) in points {
+                let e = start.settle([x, y, z], range, gain, core);
+                error += f64::from((e * e).min(CAP_SQUARE));
+            }
         }
         let plane = start.finish().map(|plane| {
-            let flat = is_flat(error, cells.len(), &plane, &config.limits);
+            let flat = is_flat(error, cells.len(), &plane, &config.limits, &field.errors);
             (plane, flat)
         });
         (sums, plane)
@@ -178,7 +201,8 @@ impl Assembler {
         let axes = candidate_axes(field, cells, belongs);
         let stride = cells.len().div_ceil(TRIAL_CELLS).max(1);
         gather(field, cells.iter().step_by(stride), &self.core, &mut self.readings);
-        let (trial, _) = choose(&self.readings, &axes, &config.limits, Candidates::All);
+        let (trial, _) =
+            choose(&self.readings, &axes, &config.limits, &field.errors, Candidates::All);
         let candidates = match trial {
             Fitted::Plane(_) => return None,
             Fitted::Other => return Some(Fitted::Other),
@@ -189,13 +213,15 @@ impl Assembler {
             return Some(trial);
         }
         gather(field, cells.iter(), &self.core, &mut self.readings);
-        match choose(&self.readings, &axes, &config.limits, candidates) {
+        match choose(&self.readings, &axes, &config.limits, &field.errors, candidates) {
             (Fitted::Plane(_), _) => None,
             (fitted, _) => Some(fitted),
         }
     }
 
     fn write_surfaces(&mut self, field: &Field, result: &mut Segmentation) {
+        // Readings that err alike tell less than their number says.
+        let patch = field.errors.patch;
         for (index, (component, fitted, sums)) in self.fitted.drain(..).enumerate() {
             let cells = self.components.cells(component);
             let points = cells.iter().map(|&cell| Vector3::from(field.point(cell as usize)));
@@ -204,6 +230,7 @@ impl Assembler {
             let (shape, square) = match fitted {
                 Fitted::Plane(plane) => {
                     let PlaneFit { grid_from_plane, covariance, .. } = plane;
+                    let covariance = covariance * patch;
                     let rotation = grid_from_plane.rotation.to_rotation_matrix();
                     let (ex, ey) = (rotation * Vector3::x(), rotation * Vector3::y());
                     let origin = grid_from_plane.translation.vector;
@@ -220,11 +247,13 @@ impl Assembler {
                     (Shape::Plane(patch), square)
                 }
                 Fitted::Sphere { centre, radius_m, covariance } => {
+                    let covariance = covariance * patch;
                     let model = Model::Sphere { centre: centre.coords, radius_m };
                     let square = mean_square_distance(&model, points);
                     (Shape::Sphere(Sphere { centre, radius_m, covariance }), square)
                 }
                 Fitted::Cylinder { axis_point, axis, radius_m, length_m, covariance } => {
+                    let covariance = covariance * patch;
                     let (foot, direction) = (axis_point.coords, axis.into_inner());
                     let model = Model::Cylinder { foot, axis: direction, radius_m };
                     let square = mean_square_distance(&model, points);
@@ -262,6 +291,24 @@ impl Assembler {
             }
         }
     }
+}
+
+/// Runs of successive cells.
+fn runs(cells: &[u32]) -> impl Iterator<Item = Range<usize>> + '_ {
+    cells.chunk_by(|a, b| a + 1 == *b).map(|run| run[0] as usize..run[0] as usize + run.len())
+}
+
+/// Adds a line to the rejected, in a string that an earlier result had.
+fn reject(
+    spare: &mut Vec<String>,
+    result: &mut Segmentation,
+    points: usize,
+    reason: std::fmt::Arguments,
+) {
+    let mut text = spare.pop().unwrap_or_else(|| String::with_capacity(REASON_BYTES));
+    text.clear();
+    text.write_fmt(reason).expect("writing to a string does not fail");
+    result.rejected.push(Rejected { points, reason: text });
 }
 
 /// Gathers the readings of cells.

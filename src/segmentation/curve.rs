@@ -10,6 +10,7 @@ use super::facets::Facets;
 use super::field::Field;
 use super::fit::{Model, Readings, fit_cylinder, fit_sphere};
 use super::grow::{Grower, neighbours};
+use super::noise::ReadingErrors;
 use super::sticks::{Stick, Sticks};
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 
@@ -69,6 +70,7 @@ pub(super) struct CurveFinder {
     kept: Vec<bool>,
     errors: Vec<f64>,
     sorted: Vec<f64>,
+    trust: ReadingErrors,
     /// Curved surface of each region, where it is one.
     pub models: Vec<Option<Model>>,
 }
@@ -82,6 +84,7 @@ impl CurveFinder {
         grower: &mut Grower,
         limits: &ShapeLimits,
     ) {
+        self.trust = field.errors;
         self.models.clear();
         self.models.resize(grower.regions.len(), None);
         self.facets.load(sticks, grower);
@@ -179,7 +182,7 @@ impl CurveFinder {
             let stride = members.len().div_ceil(GUESS_STICKS).max(1);
             for &s in members.iter().step_by(stride) {
                 if grower.region_of[s as usize] == region {
-                    push_stick(&mut self.readings, &sticks.sticks[s as usize]);
+                    push_stick(&mut self.readings, &sticks.sticks[s as usize], &self.trust);
                 }
             }
             if self.bounds.last() == Some(&self.readings.len()) {
@@ -270,7 +273,7 @@ impl CurveFinder {
             before = self.set.len();
             self.readings.clear();
             for &s in &self.set {
-                push_stick(&mut self.readings, &sticks.sticks[s as usize]);
+                push_stick(&mut self.readings, &sticks.sticks[s as usize], &self.trust);
             }
             let refined = match &model {
                 Model::Sphere { .. } => fit_sphere(&self.readings).map(|fit| fit.model()),
@@ -308,7 +311,7 @@ impl CurveFinder {
                 let stick = &sticks.sticks[s as usize];
                 if grower.region_of[s as usize] == facet
                     && !self.in_set[s as usize]
-                    && fits(model, stick)
+                    && fits(model, stick, &self.trust)
                 {
                     self.set.push(s);
                     self.in_set[s as usize] = true;
@@ -328,7 +331,7 @@ impl CurveFinder {
                 if !self.in_set[s as usize]
                     && self.models[region as usize].is_none()
                     && (region == 0 || owner < UNTOUCHABLE * readings)
-                    && fits(model, other)
+                    && fits(model, other, &self.trust)
                 {
                     self.set.push(s);
                     self.in_set[s as usize] = true;
@@ -344,7 +347,9 @@ impl CurveFinder {
     /// Whether the model explains its sticks at a lower price than what explains them now.
     fn is_worth_it(&mut self, sticks: &Sticks, grower: &Grower, model: &Model) -> bool {
         self.shares.clear();
-        let (mut before, mut after) = (0.0, PRICE);
+        let readings = self.set.iter().map(|&s| sticks.sticks[s as usize].n).sum();
+        let price = self.trust.price(PRICE, readings);
+        let (mut before, mut after) = (0.0, price);
         for &s in &self.set {
             let stick = &sticks.sticks[s as usize];
             after += stick_error(model, stick);
@@ -366,7 +371,7 @@ impl CurveFinder {
             }
         }
         for &(region, n) in &self.shares {
-            before += PRICE * (n / grower.regions[region as usize].moments.n).min(1.0);
+            before += price * (n / grower.regions[region as usize].moments.n).min(1.0);
         }
         after < before
     }
@@ -390,10 +395,11 @@ impl CurveFinder {
 }
 
 /// Adds a stick as two readings whose noise is that of half its cells.
-fn push_stick(readings: &mut Readings, stick: &Stick) {
+fn push_stick(readings: &mut Readings, stick: &Stick, errors: &ReadingErrors) {
+    let common = errors.mean_variance(0.5 * stick.n) * 0.5 * stick.n;
     for end in stick.ends {
         let range = Vector3::from(end).norm();
-        let sigma = range / stick.weight.sqrt();
+        let sigma = range * (common / stick.weight).sqrt();
         readings.push(end, 1.0 / range, sigma, true);
     }
 }
@@ -409,8 +415,8 @@ fn deviations(model: &Model, stick: &Stick) -> [f64; 2] {
     })
 }
 
-fn fits(model: &Model, stick: &Stick) -> bool {
-    let gate = GATE * (2.0 / stick.n).sqrt() + SLACK;
+fn fits(model: &Model, stick: &Stick, errors: &ReadingErrors) -> bool {
+    let gate = GATE * errors.mean_variance(0.5 * stick.n).sqrt() + SLACK;
     deviations(model, stick).iter().all(|d| d.abs() < gate)
 }
 

@@ -6,13 +6,16 @@
 //! along; a *step* is a position on all lanes. On the project's own scanner the lanes are the
 //! columns (beams) and the steps are the rows (tilts).
 
-use super::noise::RangeNoise;
+use super::noise::ReadingErrors;
 use crate::scan::PointGrid;
 
 /// Nearer points than this are the zeros that some drivers give for "no return", in metres.
 const NEAREST_M: f32 = 1e-3;
 /// Share of the greatest range from which on a return may be a saturated reading.
 const SATURATED: f32 = 0.9985;
+/// Angle over which slopes are told, and the steepest that is believed, in ranges per radian.
+const SLOPE_RAD: f32 = 0.03;
+const STEEPEST: f32 = 10.0;
 /// Pairs of cells that are looked at to measure one angular pitch.
 const PITCH_SAMPLES: usize = 256;
 /// Lanes that are looked at to measure the pitch between two steps.
@@ -38,8 +41,8 @@ pub(super) struct Field {
     pub across_rad: f32,
     /// Readings at the scanner's limit that were taken as no return.
     pub saturated: usize,
-    /// Noise of the ranges.
-    pub noise: RangeNoise,
+    /// What the readings err by.
+    pub errors: ReadingErrors,
     /// Range over its standard deviation; zero where there is no return.
     pub gain: Vec<f32>,
     samples: Vec<f32>,
@@ -56,18 +59,47 @@ impl Field {
 
     /// Standard deviation of the range of a cell in metres.
     pub fn sigma_m(&self, cell: usize) -> f64 {
-        self.noise.sigma_m(f64::from(self.range[cell]))
+        f64::from(self.range[cell] / self.gain[cell])
     }
 
-    /// Sets the noise of the ranges, and the gains that follow from it.
-    pub fn set_noise(&mut self, noise: RangeNoise) {
-        self.noise = noise;
+    /// Sets what the readings err by, and the gains that follow from it.
+    pub fn set_errors(&mut self, errors: ReadingErrors) {
+        self.errors = errors;
+        let noise = errors.noise;
         let [constant, square, fourth] =
             [noise.constant, noise.square, noise.fourth].map(|factor| factor as f32);
         self.gain.resize(self.range.len(), 0.0);
         for (gain, &range) in self.gain.iter_mut().zip(&self.range) {
             let r2 = range * range;
             *gain = range / (constant + r2 * (square + r2 * fourth)).sqrt();
+        }
+        if errors.angle_rad > 0.0 {
+            self.allow_for_angles(errors.angle_rad as f32);
+        }
+    }
+
+    /// Lowers the gains by what an error of the angle along means for the range.
+    fn allow_for_angles(&mut self, angle_rad: f32) {
+        let reach = ((SLOPE_RAD / self.along_rad) as usize).clamp(1, 8);
+        for step in 0..self.steps {
+            for lane in 0..self.lanes {
+                let cell = step * self.lanes + lane;
+                if !self.is_valid(cell) {
+                    continue;
+                }
+                // The smaller of the slopes to both sides: an edge has one on one side.
+                let mut slope = f32::INFINITY;
+                for other in [step.wrapping_sub(reach), step + reach] {
+                    if other < self.steps && self.is_valid(other * self.lanes + lane) {
+                        let rise = self.inverse[other * self.lanes + lane] - self.inverse[cell];
+                        let turn = self.positions[other] - self.positions[step];
+                        slope = slope.min((rise / turn).abs() * self.range[cell]);
+                    }
+                }
+                let slope = if slope.is_finite() { slope.min(STEEPEST) } else { 0.0 };
+                let error = slope * angle_rad * self.gain[cell];
+                self.gain[cell] /= (1.0 + error * error).sqrt();
+            }
         }
     }
 

@@ -6,6 +6,7 @@
 use super::field::Field;
 use super::merge::Merger;
 use super::moments::Moments;
+use super::noise::ReadingErrors;
 use super::sticks::{LONGEST, NO_STICK, Stick, Sticks};
 
 /// Gate of the growth in standard deviations of what is being compared.
@@ -24,6 +25,9 @@ const WIDEST_GATE: f64 = 8.0;
 const FEWEST: f64 = 6.0;
 /// Growth of a region's readings after which its plane is solved anew.
 const NEWS: f64 = 1.1;
+/// Most that a plane is in doubt by common errors, in variances of one reading: it is told beside
+/// where it is asked for.
+const MOST_COMMON: f64 = 2.0;
 /// Scatter of a stick about its own line, per reading, beyond which it is no seed.
 const ROUGH: f64 = 2.5;
 
@@ -49,7 +53,7 @@ impl Plane {
     }
 
     /// Whether a stick lies on the plane.
-    pub fn fits(&self, stick: &Stick) -> bool {
+    pub fn fits(&self, stick: &Stick, errors: &ReadingErrors) -> bool {
         let [xx, xy, xz, yy, yz, zz] = self.covariance;
         let unit = 2.0 * stick.weight / stick.n;
         stick.ends.iter().all(|&[x, y, z]| {
@@ -57,7 +61,12 @@ impl Plane {
             let known =
                 xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
             // Each end stands for half the readings.
-            let gate = GATE * (2.0 / stick.n + unit * known).sqrt() + SLACK;
+            let mut variance = 2.0 / stick.n + unit * known;
+            if errors.common > 0.0 {
+                let common = 1.0 + (errors.patch * unit * known).min(MOST_COMMON);
+                variance = (1.0 - errors.common) * variance + errors.common * common;
+            }
+            let gate = GATE * variance.sqrt() + SLACK;
             gate < WIDEST_GATE && deviation * deviation * unit < gate * gate
         })
     }
@@ -147,7 +156,7 @@ impl Grower {
             }
         }
         region.plane = Plane::of(&region.moments);
-        if region.moments.error(&region.plane.q) > SEED_ERROR {
+        if region.moments.error(&region.plane.q) > SEED_ERROR * field.errors.run {
             return;
         }
         self.front.clear();
@@ -177,7 +186,7 @@ impl Grower {
             neighbours(field, sticks, stick, &mut near);
             for &s in &near {
                 let other = &sticks.sticks[s as usize];
-                if self.region_of[s as usize] == 0 && region.plane.fits(other) {
+                if self.region_of[s as usize] == 0 && region.plane.fits(other, &field.errors) {
                     self.region_of[s as usize] = label;
                     other.add_to(&mut region.moments);
                     self.front.push(s);
@@ -209,7 +218,7 @@ impl Grower {
         self.merger.sort_pairs();
         self.moments.clear();
         self.moments.extend(self.regions.iter().map(|region| region.moments));
-        self.merger.merge(&mut self.moments, |_| true);
+        self.merger.merge(&mut self.moments, &field.errors, |_| true);
         for (region, moments) in self.regions.iter_mut().zip(&self.moments) {
             if region.moments.n != moments.n {
                 *region = Region { moments: *moments, plane: Plane::of(moments) };

@@ -71,7 +71,9 @@ impl HullFinder {
         // A part of the points is enough to spare most of the others any more work.
         let rough = Extremes::of(points.iter().step_by(ROUGH_STEP));
         self.outer.clear();
-        self.outer.extend(points.iter().filter(|point| !rough.surely_contains(**point)));
+        // Equal points make no polygon that others could be inside of.
+        let one = rough.points.iter().all(|point| *point == rough.points[0]);
+        self.outer.extend(points.iter().filter(|point| one || rough.may_be_vertex(**point)));
         let extremes = Extremes::of(self.outer.iter());
         self.candidates.clear();
         self.candidates

@@ -2,6 +2,7 @@
 
 use super::moments::Moments;
 use super::morphology::neighbours8;
+use super::noise::ReadingErrors;
 
 /// Rise of the error, in units of the noise, that a merge may always cost: three parameters and an
 /// outline fewer.
@@ -54,7 +55,12 @@ impl Merger {
     /// Merges the listed pairs as long as one plane explains both of two regions, in the order of
     /// their numbers; `moments` of a region that is gone are left as they were. Only regions for
     /// which `flat` holds take part. Afterwards the pairs are those of what is left.
-    pub fn merge(&mut self, moments: &mut [Moments], flat: impl Fn(u32) -> bool) {
+    pub fn merge(
+        &mut self,
+        moments: &mut [Moments],
+        errors: &ReadingErrors,
+        flat: impl Fn(u32) -> bool,
+    ) {
         self.parents.clear();
         self.parents.extend(0..moments.len() as u32);
         self.costs.clear();
@@ -79,7 +85,7 @@ impl Merger {
                 let cost = sum.cost(&sum.solve());
                 let fewer = moments[keep].n.min(moments[drop].n);
                 let rise = cost - self.costs[keep] - self.costs[drop];
-                if rise < FREE_RISE + RISE_PER_READING * fewer {
+                if rise < errors.price(FREE_RISE, fewer) + RISE_PER_READING * fewer {
                     moments[keep] = sum;
                     self.costs[keep] = cost;
                     self.parents[drop] = keep as u32;

@@ -23,6 +23,7 @@ mod merge;
 mod moments;
 mod morphology;
 mod noise;
+mod noise_estimate;
 mod paper;
 mod residual;
 mod split;
@@ -31,13 +32,13 @@ mod sticks;
 mod surface;
 
 pub use config::{Method, PaperConfig, SegmentationConfig, ShapeLimits};
-pub use noise::RangeNoise;
+pub use noise::{RangeNoise, ReadingErrors};
 pub use surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 
 use crate::scan::PointGrid;
 use assemble::Assembler;
 use field::Field;
-use noise::NoiseEstimator;
+use noise_estimate::NoiseEstimator;
 use paper::PaperChain;
 use stick_chain::StickChain;
 
@@ -137,11 +138,11 @@ impl Segmenter {
         observe: &mut dyn FnMut(Stage),
     ) -> &Segmentation {
         self.field.load(grid);
-        let noise = match self.config.range_sigma_m {
-            Some(sigma_m) => RangeNoise::uniform(sigma_m),
+        let errors = match self.config.range_sigma_m {
+            Some(sigma_m) => ReadingErrors::independent(RangeNoise::uniform(sigma_m)),
             None => self.noise_estimator.estimate(&self.field),
         };
-        self.field.set_noise(noise);
+        self.field.set_errors(errors);
         match self.config.method {
             Method::Paper => {
                 self.paper.run(&self.field, &self.config, &mut self.labels, observe);
@@ -166,9 +167,14 @@ impl Segmenter {
         &self.result
     }
 
-    /// The noise model that the last scan was segmented with.
+    /// The noise of the ranges that the last scan was segmented with.
     pub fn noise(&self) -> RangeNoise {
-        self.field.noise
+        self.field.errors.noise
+    }
+
+    /// The errors of the readings that the last scan was segmented with.
+    pub fn errors(&self) -> ReadingErrors {
+        self.field.errors
     }
 
     /// The stages of the last scan as pictures.

@@ -126,7 +126,8 @@ impl PaperChain {
             }
             let axes =
                 candidate_axes(field, cells, |c| self.components.of_cell[c] == component as u32);
-            let (fitted, _) = choose(&self.readings, &axes, &config.limits, Candidates::All);
+            let (fitted, _) =
+                choose(&self.readings, &axes, &config.limits, &field.errors, Candidates::All);
             self.models.push(match fitted {
                 Fitted::Plane(plane) => Some(plane.model()),
                 Fitted::Sphere { centre, radius_m, .. } => {
@@ -155,7 +156,7 @@ impl PaperChain {
         self.borders.find(labels, field.lanes, &mut self.border);
         self.merger.pairs_of_labels(labels, field.lanes, &self.border);
         let flat = &self.flat;
-        self.merger.merge(&mut self.moments, |label| flat[label as usize - 1]);
+        self.merger.merge(&mut self.moments, &field.errors, |label| flat[label as usize - 1]);
         for label in labels.iter_mut() {
             *label = self.merger.root(*label);
         }

@@ -74,7 +74,8 @@ impl StickChain {
         }
         self.merger.pairs_of_labels(labels, field.lanes, &self.competition.border);
         let models = &self.curves.models;
-        self.merger.merge(&mut self.moments, |label| models[label as usize].is_none());
+        self.merger
+            .merge(&mut self.moments, &field.errors, |label| models[label as usize].is_none());
         for label in labels.iter_mut() {
             *label = self.merger.root(*label);
         }

@@ -108,6 +108,8 @@ impl Sticks {
     /// Copies what the cut needs into blocks.
     fn load(&mut self, field: &Field) {
         self.blocks = field.lanes.div_ceil(BLOCK);
+        // Readings that err alike break a line no more than one of them does.
+        let trust = (1.0 / field.errors.run).sqrt() as f32;
         self.inverse.clear();
         self.sharpness.clear();
         for step in 0..field.steps {
@@ -118,7 +120,7 @@ impl Sticks {
                 let (mut block, mut sharpness) = ([0.0; BLOCK], [0.0; BLOCK]);
                 for i in 0..inverse.len() {
                     block[i] = inverse[i];
-                    sharpness[i] = gains[i] * ranges[i];
+                    sharpness[i] = gains[i] * ranges[i] * trust;
                 }
                 self.inverse.push(Block::new(block));
                 self.sharpness.push(Block::new(sharpness));
@@ -218,7 +220,9 @@ fn measure(field: &Field, lane: usize, first: usize, last: usize) -> Stick {
     let (mut t1, mut t2, mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0, 0.0, 0.0);
     let anchor = f64::from(field.inverse[first * lanes + lane]);
     let origin = f64::from(field.positions[first]);
+    let mut gains = 0.0;
     for step in first..=last {
+        gains += field.weight(step * lanes + lane);
         let t = f64::from(field.positions[step]) - origin;
         let f = f64::from(field.inverse[step * lanes + lane]) - anchor;
         t1 += t;
@@ -240,15 +244,14 @@ fn measure(field: &Field, lane: usize, first: usize, last: usize) -> Stick {
         ray.map(|u| u / f)
     });
     let range = 1.0 / middle;
-    let variance = field.noise.variance(range);
     Stick {
         lane: lane as u32,
         first: first as u32,
         last: last as u32,
         ends,
-        weight: 0.5 * n * range * range / variance,
+        weight: 0.5 * gains,
         n,
-        error: left * (range * range) * (range * range) / variance,
+        error: left * range * range * (gains / n),
     }
 }
 

@@ -102,3 +102,15 @@ fn the_covariance_of_a_drum_is_that_of_its_errors() {
         Some((SVector::<f64, 5>::from(e), found.covariance))
     });
 }
+
+#[test]
+fn the_covariance_of_a_ball_is_that_of_its_errors() {
+    let mut world = World::default();
+    let centre = Point3::new(2.2, 0.3, -0.1);
+    world.ball(centre.coords.into(), 0.4);
+    assert_consistent(&world, |surface| {
+        let Shape::Sphere(found) = &surface.shape else { return None };
+        let e = centre - found.centre;
+        Some((SVector::<f64, 4>::new(e.x, e.y, e.z, 0.4 - found.radius_m), found.covariance))
+    });
+}

@@ -2,6 +2,7 @@
 
 mod campaign;
 mod covariance;
+mod errors;
 mod robustness;
 mod scanner;
 mod scenes;

@@ -14,7 +14,7 @@ fn methods() -> [Segmenter; 2] {
 }
 
 /// A box-shaped room of 6 x 4 x 2.5 m, seen from its middle.
-fn room() -> World {
+pub fn room() -> World {
     let mut world = World::default();
     world.room([-2.0, -2.0, 4.0, 2.0], 2.5);
     world

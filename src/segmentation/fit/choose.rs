@@ -1,6 +1,7 @@
 //! Which of the three shapes a region is, by a penalised residual.
 
 use super::super::config::ShapeLimits;
+use super::super::noise::ReadingErrors;
 use super::cylinder::{CylinderFit, fit_cylinder};
 use super::sphere::{SphereFit, fit_sphere};
 use super::{Fitted, Model, PlaneFit, Readings, fit_plane};
@@ -31,19 +32,20 @@ pub(in super::super) fn choose(
     readings: &Readings,
     axes: &[Vector3<f64>],
     limits: &ShapeLimits,
+    errors: &ReadingErrors,
     candidates: Candidates,
 ) -> (Fitted, f64) {
     let mut best = (f64::INFINITY, Fitted::Other, f64::INFINITY);
     let mut offer = |fitted: Fitted, model: &Model| {
         let error = capped_error(readings, model);
-        let cost = error + model.parameters() * (readings.len() as f64).ln();
+        let cost = error / errors.patch + model.parameters() * (readings.len() as f64).ln();
         if cost < best.0 {
             best = (cost, fitted, error / readings.len() as f64);
         }
     };
     let plane = fit_plane(readings);
     let flat = plane.as_ref().is_some_and(|plane| {
-        is_flat(capped_error(readings, &plane.model()), readings.len(), plane, limits)
+        is_flat(capped_error(readings, &plane.model()), readings.len(), plane, limits, errors)
     });
     if let Some(plane) = plane {
         let model = plane.model();
@@ -91,12 +93,14 @@ pub(in super::super) fn is_flat(
     count: usize,
     plane: &PlaneFit,
     limits: &ShapeLimits,
+    errors: &ReadingErrors,
 ) -> bool {
-    let n = count as f64;
+    // Readings that are worth one each.
+    let n = (count as f64 / errors.patch).max(1.0);
     let half_arc = (0.5 * limits.min_arc_deg).min(limits.min_cap_deg).to_radians();
     let bend = 0.15 * plane.width_m * (0.5 * half_arc).tan() / plane.sigma_m;
     let excess = (3.0 * (2.0 / n).sqrt()).max(IMPERFECT).max((BENT * bend * bend).min(MOST_BENT));
-    error < n * (1.0 + excess)
+    error < count as f64 * (1.0 + excess)
 }
 
 /// The angle at the centre between the middle of the cap and its border, both robust: the border is

@@ -1,9 +1,7 @@
 //! The circular cylinder of any axis: starts from candidate axes, then Gauss-Newton on the distance.
 
 use super::plane::largest_positive;
-use super::{
-    GATE, GATED_VARIANCE, LEAST_COSINE, Model, RIM_COSINE, Readings, START_READINGS, stride_until,
-};
+use super::{LEAST_COSINE, Model, Phase, RAY_ROUNDS, RIM_COSINE, Readings, START_READINGS};
 use nalgebra::{Matrix3, Matrix5, SVector, Vector3};
 
 const ROUNDS: usize = 10;
@@ -80,39 +78,62 @@ fn circle_across(
     mean_square.is_finite().then_some(Start { axis, foot, radius_m, mean_square })
 }
 
+/// Range at which a ray from the origin enters a cylinder, the normal there and the height along the
+/// axis above its foot.
+fn hit(
+    foot: &Vector3<f64>,
+    axis: &Vector3<f64>,
+    radius_m: f64,
+    ray: &Vector3<f64>,
+) -> Option<(f64, Vector3<f64>, f64)> {
+    let lengthwise = axis.dot(ray);
+    let across = ray - axis * lengthwise;
+    let centre = foot - axis * axis.dot(foot);
+    let speed = across.norm_squared();
+    let middle = across.dot(&centre);
+    let square = middle * middle - speed * (centre.norm_squared() - radius_m * radius_m);
+    if square <= 0.0 {
+        return None;
+    }
+    let range = (middle - square.sqrt()) / speed;
+    let n = (across * range - centre) / radius_m;
+    Some((range, n, lengthwise * range - axis.dot(foot)))
+}
+
 fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<CylinderFit> {
     let Start { mut axis, mut foot, mut radius_m, .. } = start;
     let mut fit = None;
-    // First without a gate, until it has converged or for half the rounds; then with it.
-    let mut gate = f64::INFINITY;
-    for round in 0..ROUNDS {
-        if round == ROUNDS / 2 {
-            gate = GATE;
-        }
+    let mut phase = Phase::Start;
+    for round in 0..ROUNDS + RAY_ROUNDS {
+        phase = Phase::of(round, ROUNDS, phase);
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
         let mut normal = Matrix5::<f64>::zeros();
         let mut right = SVector::<f64, 5>::zeros();
         let (mut square, mut count) = (0.0, 0.0);
-        for i in (0..readings.len()).step_by(stride_until(gate, readings)) {
-            let d = readings.points[i] - foot;
-            let height = axis.dot(&d);
-            let radial = d - axis * height;
-            let length = radial.norm().max(1e-9);
-            let n = radial / length;
-            let cosine = n.dot(&readings.rays[i]).abs();
-            if gate.is_finite() && cosine < RIM_COSINE {
+        for i in (0..readings.len()).step_by(phase.stride(readings)) {
+            let (point, ray, sigma) = (&readings.points[i], &readings.rays[i], readings.sigmas[i]);
+            let (n, height, e, cosine) = if phase == Phase::Rays {
+                let Some((range, n, height)) = hit(&foot, &axis, radius_m, ray) else { continue };
+                (n, height, (range - point.dot(ray)) / sigma, -n.dot(ray))
+            } else {
+                let d = point - foot;
+                let height = axis.dot(&d);
+                let radial = d - axis * height;
+                let length = radial.norm().max(1e-9);
+                let n = radial / length;
+                let cosine = n.dot(ray).abs().max(LEAST_COSINE);
+                // An error along the ray also leads away from the surface that bends back from it.
+                let lengthwise = axis.dot(ray);
+                let across = (1.0 - lengthwise * lengthwise - cosine * cosine).max(0.0);
+                let bend = 0.5 * sigma * sigma * across / length;
+                (n, height, (length - radius_m - bend) / (sigma * cosine), cosine)
+            };
+            let rim = phase != Phase::Start && cosine < RIM_COSINE;
+            if rim || e.abs() > phase.gate() {
                 continue;
             }
-            let cosine = cosine.max(LEAST_COSINE);
-            let scale = 1.0 / (readings.sigmas[i] * cosine);
-            // An error along the ray also leads away from the surface that bends back from it.
-            let (sigma, lengthwise) = (readings.sigmas[i], axis.dot(&readings.rays[i]));
-            let across = (1.0 - lengthwise * lengthwise - cosine * cosine).max(0.0);
-            let e = (length - radius_m - 0.5 * sigma * sigma * across / length) * scale;
-            if e.abs() > gate {
-                continue;
-            }
+            let scale = 1.0 / (sigma * cosine);
             // Moving the axis by a and tilting it by b (per metre of height) moves it at the
             // reading by a + height b; the distance falls by that along n, and by the radius.
             let (n1, n2) = (n.dot(&e1), n.dot(&e2));
@@ -122,7 +143,8 @@ fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<
             square += e * e;
             count += 1.0;
         }
-        let inverse = normal.cholesky()?.inverse();
+        let Some(decomposed) = normal.cholesky() else { break };
+        let inverse = decomposed.inverse();
         let correction = inverse * right;
         foot += e1 * correction[0] + e2 * correction[1];
         axis = (axis + e1 * correction[2] + e2 * correction[3]).normalize();
@@ -132,15 +154,12 @@ fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<
             return None;
         }
         let left = (square - right.dot(&correction)).max(0.0);
-        let expected = if gate.is_finite() { GATED_VARIANCE } else { 1.0 };
-        let mean_square = left / ((count - 5.0_f64).max(1.0) * expected);
+        let mean_square = left / ((count - 5.0_f64).max(1.0) * phase.variance());
         fit = Some(inverse * mean_square.max(1.0));
         // A step of a hundredth of its standard deviation.
         if right.dot(&correction) < 1e-4 * mean_square.max(1.0) {
-            if gate.is_finite() {
-                break;
-            }
-            gate = GATE;
+            let Some(next) = phase.next() else { break };
+            phase = next;
         }
     }
     Some(CylinderFit { foot, axis, radius_m, covariance: fit? })

@@ -31,10 +31,56 @@ const GATED_VARIANCE: f64 = 0.9733;
 /// About how many readings, evenly taken, lead an iteration to where all of them finish it.
 const START_READINGS: usize = 250;
 
-/// Step through the readings in a round of an iteration: all of them count once it has a gate.
-fn stride_until(gate: f64, readings: &Readings) -> usize {
-    if gate.is_finite() { 1 } else { readings.len().div_ceil(START_READINGS).max(1) }
+/// How a round of an iteration measures errors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// Across the surface, for some of the readings.
+    Start,
+    /// Across the surface, without those that are far off.
+    Gated,
+    /// Along the rays, without those that are far off. Where a ray meets the surface does not depend
+    /// on the reading's error, so neither do the normal there and the weight. Taken at the reading
+    /// they are larger where it errs to one side, which biases the fit by about σ² / R.
+    Rays,
 }
+
+impl Phase {
+    /// The phase of a round if the one before it had another at the latest.
+    fn of(round: usize, rounds: usize, phase: Self) -> Self {
+        match phase {
+            Self::Start if round >= rounds / 2 => Self::Gated,
+            Self::Gated if round >= rounds => Self::Rays,
+            phase => phase,
+        }
+    }
+
+    /// The phase after one that has converged.
+    fn next(self) -> Option<Self> {
+        match self {
+            Self::Start => Some(Self::Gated),
+            Self::Gated => Some(Self::Rays),
+            Self::Rays => None,
+        }
+    }
+
+    /// Greatest error that counts.
+    fn gate(self) -> f64 {
+        if self == Self::Start { f64::INFINITY } else { GATE }
+    }
+
+    /// Variance that is left inside the gate.
+    fn variance(self) -> f64 {
+        if self == Self::Start { 1.0 } else { GATED_VARIANCE }
+    }
+
+    /// Step through the readings: all of them count once there is a gate.
+    fn stride(self, readings: &Readings) -> usize {
+        if self == Self::Start { readings.len().div_ceil(START_READINGS).max(1) } else { 1 }
+    }
+}
+
+/// Rounds along the rays, at most.
+const RAY_ROUNDS: usize = 3;
 
 /// The readings of one region, gathered so that fits run over plain arrays.
 #[derive(Clone, Debug, Default)]

@@ -53,6 +53,32 @@ impl PlaneSums {
         self.counts[usize::from(core)] += 1;
     }
 
+    /// Adds readings of the given coordinates, weighted by the squares of their gains. Those of the
+    /// core, which most are, are summed up in registers.
+    pub fn add_run(&mut self, [x, y, z]: [&[f32]; 3], gains: &[f32], core: &[bool]) {
+        let mut sums = [[0.0; 2]; 10];
+        let mut count = 0;
+        for ((((&x, &y), &z), &gain), &core) in x.iter().zip(y).zip(z).zip(gains).zip(core) {
+            let [x, y, z, gain] = [x, y, z, gain].map(f64::from);
+            let weight = gain * gain;
+            if !core {
+                self.add([x, y, z], weight, false);
+                continue;
+            }
+            let terms = [x * x, x * y, x * z, y * y, y * z, z * z, x, y, z, 1.0];
+            for (sum, term) in sums.iter_mut().zip(terms) {
+                sum[0] += weight * term;
+                sum[1] += term;
+            }
+            count += 1;
+        }
+        for (sum, more) in self.sums[1].iter_mut().zip(sums) {
+            sum[0] += more[0];
+            sum[1] += more[1];
+        }
+        self.counts[1] += count;
+    }
+
     pub fn len(&self) -> usize {
         self.counts[0] + self.counts[1]
     }

@@ -1,6 +1,6 @@
 //! The sphere: an algebraic start, then Gauss-Newton on the distance.
 
-use super::{GATE, GATED_VARIANCE, LEAST_COSINE, Model, RIM_COSINE, Readings, stride_until};
+use super::{LEAST_COSINE, Model, Phase, RAY_ROUNDS, RIM_COSINE, Readings};
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 const ROUNDS: usize = 8;
@@ -23,32 +23,31 @@ pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
     let centroid = readings.centroid();
     let (mut centre, mut radius_m) = algebraic(readings, &centroid)?;
     let mut fit = None;
-    // First without a gate, until it has converged or for half the rounds; then with it.
-    let mut gate = f64::INFINITY;
-    for round in 0..ROUNDS {
-        if round == ROUNDS / 2 {
-            gate = GATE;
-        }
+    let mut phase = Phase::Start;
+    for round in 0..ROUNDS + RAY_ROUNDS {
+        phase = Phase::of(round, ROUNDS, phase);
         let mut normal = Matrix4::<f64>::zeros();
         let mut right = Vector4::<f64>::zeros();
         let (mut square, mut count) = (0.0, 0.0);
-        for i in (0..readings.len()).step_by(stride_until(gate, readings)) {
-            let radial = readings.points[i] - centre;
-            let length = radial.norm().max(1e-9);
-            let n = radial / length;
-            let cosine = n.dot(&readings.rays[i]).abs();
-            if gate.is_finite() && cosine < RIM_COSINE {
+        for i in (0..readings.len()).step_by(phase.stride(readings)) {
+            let (point, ray, sigma) = (&readings.points[i], &readings.rays[i], readings.sigmas[i]);
+            let (n, e, cosine) = if phase == Phase::Rays {
+                let Some((range, n)) = hit(&centre, radius_m, ray) else { continue };
+                (n, (range - point.dot(ray)) / sigma, -n.dot(ray))
+            } else {
+                let radial = point - centre;
+                let length = radial.norm().max(1e-9);
+                let n = radial / length;
+                let cosine = n.dot(ray).abs().max(LEAST_COSINE);
+                // An error along the ray also leads away from the surface that bends back from it.
+                let bend = 0.5 * sigma * sigma * (1.0 - cosine * cosine) / length;
+                (n, (length - radius_m - bend) / (sigma * cosine), cosine)
+            };
+            let rim = phase != Phase::Start && cosine < RIM_COSINE;
+            if rim || e.abs() > phase.gate() {
                 continue;
             }
-            let cosine = cosine.max(LEAST_COSINE);
-            let scale = 1.0 / (readings.sigmas[i] * cosine);
-            // An error along the ray also leads away from the surface that bends back from it.
-            let sigma = readings.sigmas[i];
-            let bend = 0.5 * sigma * sigma * (1.0 - cosine * cosine) / length;
-            let e = (length - radius_m - bend) * scale;
-            if e.abs() > gate {
-                continue;
-            }
+            let scale = 1.0 / (sigma * cosine);
             // Derivative of the distance: -n for the centre, -1 for the radius.
             let j = Vector4::new(n.x, n.y, n.z, 1.0) * scale;
             normal += j * j.transpose();
@@ -56,7 +55,8 @@ pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
             square += e * e;
             count += 1.0;
         }
-        let inverse = normal.cholesky()?.inverse();
+        let Some(decomposed) = normal.cholesky() else { break };
+        let inverse = decomposed.inverse();
         let correction = inverse * right;
         centre += correction.xyz();
         radius_m += correction.w;
@@ -64,18 +64,26 @@ pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
             return None;
         }
         let left = (square - right.dot(&correction)).max(0.0);
-        let expected = if gate.is_finite() { GATED_VARIANCE } else { 1.0 };
-        let mean_square = left / ((count - 4.0_f64).max(1.0) * expected);
+        let mean_square = left / ((count - 4.0_f64).max(1.0) * phase.variance());
         fit = Some(inverse * mean_square.max(1.0));
         // A step of a hundredth of its standard deviation.
         if right.dot(&correction) < 1e-4 * mean_square.max(1.0) {
-            if gate.is_finite() {
-                break;
-            }
-            gate = GATE;
+            let Some(next) = phase.next() else { break };
+            phase = next;
         }
     }
     Some(SphereFit { centre, radius_m, covariance: fit? })
+}
+
+/// Range at which a ray from the origin enters a sphere, and the normal there.
+fn hit(centre: &Vector3<f64>, radius_m: f64, ray: &Vector3<f64>) -> Option<(f64, Vector3<f64>)> {
+    let middle = ray.dot(centre);
+    let square = radius_m * radius_m - (centre - ray * middle).norm_squared();
+    if square <= 0.0 {
+        return None;
+    }
+    let range = middle - square.sqrt();
+    Some((range, (ray * range - centre) / radius_m))
 }
 
 /// Least squares of `|p|² - 2 p·c + (|c|² - R²)`, which is linear; biased small on noisy caps, so

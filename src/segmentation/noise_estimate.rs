@@ -1,0 +1,505 @@
+//! How noisy the ranges are, told from the scan itself.
+//!
+//! Along a lane the inverse range of a smooth surface hardly has a third difference: the angle
+//! between neighbours is small, and the inverse range of a plane is linear in the ray's direction.
+//! What is left of it is noise of known gain. Edges are outliers that a trimmed variance ignores.
+
+use super::field::Field;
+use super::noise::{RangeNoise, ReadingErrors};
+
+/// Variance of a third difference of white noise of unit variance: 1 + 9 + 9 + 1.
+const GAIN: f64 = 20.0;
+/// Share of the samples, the smallest, that make the estimate: up to 40 % may be edges.
+const KEPT: f64 = 0.6;
+/// Variance of a standard normal variable that is cut at its KEPT quantile of size (0.8416).
+const KEPT_VARIANCE: f64 = 0.2146;
+/// The same for differences over wider pitches, up to 65 % of which may be edges.
+const FAR_KEPT: f64 = 0.35;
+const FAR_KEPT_VARIANCE: f64 = 0.0667;
+/// Ratio of variances beyond which the wider pitch counts.
+const MUCH_LARGER: f64 = 1.7;
+/// Smallest believed standard deviation in metres: what 32-bit points and printed decimals leave.
+const FLOOR_M: f64 = 4e-4;
+/// Smallest standard deviation that is told apart: readings that are rounded may all agree.
+const LEAST_M: f64 = 1e-4;
+/// Classes of range in which the variance is estimated apart.
+const RANGE_CLASSES: usize = 12;
+/// Classes of size, eight to an octave, taken from the bits of a 32-bit float.
+const SIZE_CLASSES: usize = 256;
+const SIZE_SHIFT: u32 = 20;
+/// Size class of 2^-24 m, the smallest that is told apart.
+const FIRST_SIZE: u32 = (127 - 24) << 3;
+/// Fewest samples that make a class of range count.
+const FEWEST: f64 = 60.0;
+/// About how many samples are taken of a scan.
+const SAMPLES: usize = 10_000;
+/// Widest pitch of the differences that tell how far errors are alike: 2.3°, with four of them less
+/// than most things are wide; and in cells.
+const WIDEST_RAD: f32 = 0.04;
+const WIDEST_CELLS: usize = 16;
+/// Growth of the variance over a doubled pitch below which the errors are alike no more.
+const STILL_GROWING: f64 = 1.3;
+/// Slope of the range over its angle, in units of the range, beyond which it is an edge's.
+const STEEPEST: f32 = 4.0;
+/// Slope over noise from which on an error of the angle may show; classes are octaves.
+const FLATTEST: f32 = 22.0;
+/// Least share of the samples of a slope class that counts.
+const LEAST_SHARE: f64 = 0.02;
+/// Power of the squared slope with which the variance rises at least where it does. It is 1 without
+/// any other noise; scans with independent ranges have up to 0.1, for their edges.
+const LEAST_RISE: f64 = 0.4;
+/// Ratio of the variances that two parts of the samples tell, from which on they are of several sizes.
+const MIXED: f64 = 1.03;
+/// A unit of one standard deviation that the size classes resolve, in metres.
+const ANGLE_UNIT: f32 = 0.01;
+
+/// Buffers of the estimate.
+#[derive(Clone, Debug)]
+pub(super) struct NoiseEstimator {
+    counts: Vec<[u32; SIZE_CLASSES]>,
+    squares: Vec<[f32; SIZE_CLASSES]>,
+    classes: Vec<Class>,
+}
+
+/// What one class of range tells.
+#[derive(Clone, Copy, Debug)]
+struct Class {
+    range_m: f64,
+    variance: f64,
+    samples: f64,
+}
+
+/// What each class of range tells, where it has enough samples.
+type Classes = [Option<Class>; RANGE_CLASSES];
+
+impl Default for NoiseEstimator {
+    fn default() -> Self {
+        Self {
+            counts: vec![[0; SIZE_CLASSES]; RANGE_CLASSES],
+            squares: vec![[0.0; SIZE_CLASSES]; RANGE_CLASSES],
+            classes: Vec::with_capacity(RANGE_CLASSES),
+        }
+    }
+}
+
+/// Cells apart, along and across, of the four readings of a third difference, and what is kept of
+/// them.
+#[derive(Clone, Copy, Debug)]
+struct Probe {
+    down: usize,
+    right: usize,
+    kept: f64,
+    /// Variance of a standard normal variable that is cut at its `kept` quantile of size.
+    kept_variance: f64,
+}
+
+impl Probe {
+    fn near() -> Self {
+        Self { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE }
+    }
+
+    fn far(down: usize, right: usize) -> Self {
+        let (kept, kept_variance) = (FAR_KEPT, FAR_KEPT_VARIANCE);
+        Self { down, right, kept, kept_variance }
+    }
+}
+
+impl NoiseEstimator {
+    /// The errors of the readings in a field. A scan without enough neighbours gets 10 mm.
+    ///
+    /// Readings of a real scanner err together: they are rounded, a row's tilt is off, depth from
+    /// triangulation is correlated over several pixels. Next neighbours then agree better than a
+    /// surface is known. So differences over a wider pitch along, and across, are taken too; they
+    /// cross more edges, and a smaller part of them is kept. Where these are much larger all over the
+    /// scan, or the differences are not of one size, it is asked whether that is an error of the
+    /// angle, which shows with the slope of the surfaces, and if not, over how many cells the errors
+    /// are alike.
+    pub fn estimate(&mut self, field: &Field) -> ReadingErrors {
+        let (mut nearest, mut farthest) = (f32::MAX, 0.0);
+        for &range in &field.range {
+            nearest = if range > 0.0 && range < nearest { range } else { nearest };
+            farthest = if range > farthest { range } else { farthest };
+        }
+        let span = (nearest, RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3));
+        let pitch = ((field.across_rad / field.along_rad).round() as usize).clamp(3, 8);
+        let near = self.measure(field, span, Probe::near());
+        let (along, _) = self.measure(field, span, Probe::far(pitch, 0));
+        let (across, _) = self.measure(field, span, Probe::far(0, 1));
+        let alike = growth(&near.0, &along) > MUCH_LARGER;
+        // Noise of one size has the same variance whatever part of it is kept.
+        let mixed = growth(&near.1, &near.0) > MIXED;
+        let near = near.0;
+        let angle = if alike || mixed || growth(&across, &near) > MUCH_LARGER {
+            self.angle_error(field, span, pitch, &near)
+        } else {
+            None
+        };
+        if !alike && angle.is_none() {
+            return ReadingErrors::independent(self.model([&near, &along, &across]));
+        }
+        let (along, length) = self.follow(field, span, [pitch, 0], along, &near);
+        let common = if alike { (1.0 - 1.0 / growth(&near, &along)).max(0.0) } else { 0.0 };
+        let run = 1.0 + common * (length - 1.0);
+        if let Some(angle_rad) = angle {
+            // Along, the errors of the angle are told apart; what shows across is the range's.
+            let noise = self.model([&near, &across]);
+            return ReadingErrors { noise, angle_rad, common, run, patch: run };
+        }
+        let (across, width) = self.follow(field, span, [0, 1], across, &across);
+        let noise = self.model([&near, &along, &across]);
+        let patch = 1.0 + common * (length * width - 1.0);
+        ReadingErrors { noise, angle_rad: 0.0, common, run, patch }
+    }
+
+    /// The noise that the first classes tell, or the others where these are much larger.
+    fn model<const N: usize>(&mut self, told: [&Classes; N]) -> RangeNoise {
+        self.classes.clear();
+        for class in 0..RANGE_CLASSES {
+            if let Some(near) = told[0][class] {
+                let wider = told[1..].iter().filter_map(|wider| wider[class]);
+                let wider = wider.map(|wider| wider.variance);
+                let wider = wider.filter(|&variance| variance > MUCH_LARGER * near.variance);
+                let variance = wider.fold(near.variance, f64::max);
+                self.classes.push(Class { variance, ..near });
+            }
+        }
+        model(&self.classes)
+    }
+
+    /// Follows the variance from `first`, that of differences over the pitch `[down, right]`, to
+    /// twice as wide ones until it grows no more: the variance there, and the pitch at which it has
+    /// come half way there from `least`.
+    fn follow(
+        &mut self,
+        field: &Field,
+        span: (f32, f32),
+        [down, right]: [usize; 2],
+        first: Classes,
+        least: &Classes,
+    ) -> (Classes, f64) {
+        let (pitch, cells) =
+            if down > 0 { (field.along_rad, field.steps) } else { (field.across_rad, field.lanes) };
+        let widest = ((WIDEST_RAD / pitch) as usize).min(cells / 12).min(WIDEST_CELLS);
+        let mut steps = [(0, 0.0); 8];
+        let mut count = 0;
+        let (mut last, mut scale) = (first, 1);
+        loop {
+            steps[count] = (scale * down.max(right), growth(least, &last));
+            count += 1;
+            if 2 * scale * down.max(right) > widest || count == steps.len() {
+                break;
+            }
+            let probe = Probe::far(2 * scale * down, 2 * scale * right);
+            let (next, _) = self.measure(field, span, probe);
+            if growth(&last, &next) < STILL_GROWING {
+                break;
+            }
+            (last, scale) = (next, 2 * scale);
+        }
+        let full = steps[count - 1].1;
+        let half = steps[..count].iter().find(|step| step.1 >= 0.5 * full);
+        let length = half.map_or(1, |step| step.0);
+        (last, if full > MUCH_LARGER { length as f64 } else { 1.0 })
+    }
+
+    /// Standard deviation of the rays' angles along; `None` where errors of the angle do not show.
+    ///
+    /// An error of the angle shows as one of range in proportion to the range's slope over the angle:
+    /// the variances of slope classes, in units of what `near` says of the range, rise with the
+    /// squared slope, in those units.
+    fn angle_error(
+        &mut self,
+        field: &Field,
+        span: (f32, f32),
+        pitch: usize,
+        near: &Classes,
+    ) -> Option<f64> {
+        let model = self.model([near]);
+        // The middle of each class of range stands for it.
+        let sigmas: [f32; RANGE_CLASSES] = std::array::from_fn(|class| {
+            model.sigma_m(f64::from(span.0) + (class as f64 + 0.5) / f64::from(span.1)) as f32
+        });
+        self.counts.iter_mut().for_each(|class| class.fill(0));
+        self.squares.iter_mut().for_each(|class| class.fill(0.0));
+        let lanes = field.lanes;
+        let stride = (field.len() / SAMPLES).max(1);
+        let apart = pitch * lanes;
+        for step in (0..field.steps.saturating_sub(3 * pitch)).step_by(stride) {
+            let turn = field.positions[step + 3 * pitch] - field.positions[step];
+            for lane in 0..lanes {
+                let cell = step * lanes + lane;
+                let [a, b, c, d] = [0, 1, 2, 3].map(|k| field.inverse[cell + k * apart]);
+                if a * b * c * d == 0.0 {
+                    continue;
+                }
+                let range = field.range[cell + apart];
+                let slope = (d - a).abs() / turn * range;
+                if slope > STEEPEST {
+                    continue;
+                }
+                let sigma = sigmas[range_class(range, span)];
+                // In a unit that the size classes are made for.
+                let error = ((a - d) + 3.0 * (c - b)).abs() * range * range / sigma * ANGLE_UNIT;
+                let steepness = slope * range / sigma;
+                let class =
+                    ((steepness / FLATTEST).log2().floor().clamp(-1.0, 10.0) + 1.0) as usize;
+                let size = size_class(error);
+                self.counts[class][size] += 1;
+                self.squares[class][size] += error * error;
+            }
+        }
+        let mut told = [SlopeClass::default(); RANGE_CLASSES];
+        let all: u32 = self.counts[1..].iter().flatten().sum();
+        let fewest = FEWEST.max(LEAST_SHARE * f64::from(all));
+        let mut count = 0;
+        let unit = f64::from(ANGLE_UNIT);
+        for class in 1..RANGE_CLASSES {
+            let samples = f64::from(self.counts[class].iter().sum::<u32>());
+            if samples >= fewest {
+                let (counts, squares) = (&self.counts[class], &self.squares[class]);
+                let kept = trimmed_mean(counts, squares, samples, KEPT);
+                let variance = kept / (KEPT_VARIANCE * GAIN * unit * unit);
+                let steepness = f64::from(FLATTEST) * 2.0_f64.powf(class as f64 - 0.5);
+                told[count] = SlopeClass { steepness, variance, samples };
+                count += 1;
+            }
+        }
+        angle_of(&told[..count])
+    }
+
+    /// The variance in each class of range, from the part that the probe keeps and from the part that
+    /// is kept of far ones; `span` is the nearest range and classes per metre.
+    fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
+        self.counts.iter_mut().for_each(|class| class.fill(0));
+        self.squares.iter_mut().for_each(|class| class.fill(0.0));
+        let lanes = field.lanes;
+        let stride = (field.len() / SAMPLES).max(1);
+        let apart = probe.down * lanes + probe.right;
+        let last = lanes.saturating_sub(3 * probe.right);
+        for step in (0..field.steps.saturating_sub(3 * probe.down)).step_by(stride) {
+            for lane in 0..last {
+                let cell = step * lanes + lane;
+                let [a, b, c, d] = [0, 1, 2, 3].map(|k| field.inverse[cell + k * apart]);
+                if a * b * c * d == 0.0 {
+                    continue;
+                }
+                let range = field.range[cell + apart];
+                let third = (a - d) + 3.0 * (c - b);
+                let error = third.abs() * range * range;
+                let class = range_class(range, span);
+                let size = size_class(error);
+                self.counts[class][size] += 1;
+                self.squares[class][size] += error * error;
+            }
+        }
+        let classes = |share: f64, kept_variance: f64| {
+            let (nearest, per_metre) = span;
+            std::array::from_fn(|class| {
+                let range_m = f64::from(nearest) + (class as f64 + 0.5) / f64::from(per_metre);
+                let samples: u32 = self.counts[class].iter().sum();
+                let samples = f64::from(samples);
+                (samples >= FEWEST).then(|| {
+                    let (counts, squares) = (&self.counts[class], &self.squares[class]);
+                    let kept = trimmed_mean(counts, squares, samples, share);
+                    let variance = (kept / (kept_variance * GAIN)).max(LEAST_M * LEAST_M);
+                    Class { range_m, variance, samples }
+                })
+            })
+        };
+        (classes(probe.kept, probe.kept_variance), classes(FAR_KEPT, FAR_KEPT_VARIANCE))
+    }
+}
+
+/// What readings of one steepness tell: the slope of the range over the angle, and the variance, both
+/// in units of the noise.
+#[derive(Clone, Copy, Debug, Default)]
+struct SlopeClass {
+    steepness: f64,
+    variance: f64,
+    samples: f64,
+}
+
+/// The angle that explains how variances rise with the slope; `None` where they do not rise all over.
+///
+/// Edges have large variances too, but at some slopes: over the logarithms, the variances must rise
+/// as a whole, and the angle is the classes' weighted median.
+fn angle_of(told: &[SlopeClass]) -> Option<f64> {
+    if told.len() < 3 {
+        return None;
+    }
+    let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let mut own = f64::INFINITY;
+    for class in told {
+        let (lx, ly) = (2.0 * class.steepness.ln(), class.variance.max(1e-12).ln());
+        n += class.samples;
+        x += class.samples * lx;
+        y += class.samples * ly;
+        xx += class.samples * lx * lx;
+        xy += class.samples * lx * ly;
+        own = own.min(class.variance);
+    }
+    let rise = (xy - x * y / n) / (xx - x * x / n);
+    if rise.is_nan() || rise < LEAST_RISE {
+        return None;
+    }
+    let mut angles = [(0.0, 0.0); RANGE_CLASSES];
+    for (angle, class) in angles.iter_mut().zip(told) {
+        *angle = ((class.variance - own).sqrt() / class.steepness, class.samples);
+    }
+    let angles = &mut angles[..told.len()];
+    angles.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut below = 0.0;
+    let middle = angles.iter().find(|angle| {
+        below += angle.1;
+        below >= 0.5 * n
+    });
+    middle.map(|angle| angle.0).filter(|&angle| angle > 0.0)
+}
+
+fn range_class(range: f32, (nearest, per_metre): (f32, f32)) -> usize {
+    (((range - nearest) * per_metre) as usize).min(RANGE_CLASSES - 1)
+}
+
+fn size_class(error: f32) -> usize {
+    let size = (error.to_bits() >> SIZE_SHIFT).saturating_sub(FIRST_SIZE) as usize;
+    size.min(SIZE_CLASSES - 1)
+}
+
+/// How many times larger the variance of the second is, as the mean of the classes' logarithms.
+fn growth(from: &Classes, to: &Classes) -> f64 {
+    let mut sum = (0.0, 0.0);
+    for (from, to) in from.iter().zip(to) {
+        if let (Some(from), Some(to)) = (from, to) {
+            let samples = from.samples.min(to.samples);
+            sum.0 += samples * (to.variance / from.variance).ln();
+            sum.1 += samples;
+        }
+    }
+    if sum.1 > 0.0 { (sum.0 / sum.1).exp() } else { 1.0 }
+}
+
+/// Mean square of the `share` smallest errors.
+fn trimmed_mean(
+    counts: &[u32; SIZE_CLASSES],
+    squares: &[f32; SIZE_CLASSES],
+    samples: f64,
+    share: f64,
+) -> f64 {
+    let mut left = share * samples;
+    let mut sum = 0.0;
+    for (&count, &square) in counts.iter().zip(squares) {
+        if count == 0 {
+            continue;
+        }
+        let part = (left / f64::from(count)).min(1.0);
+        sum += part * f64::from(square);
+        left -= part * f64::from(count);
+        if left <= 0.0 {
+            break;
+        }
+    }
+    sum / (share * samples)
+}
+
+/// The simplest polynomial with non-negative factors that explains the classes.
+///
+/// Least squares of the relative error of the variance, over all subsets of the three terms; each
+/// term has to earn its place. Classes above the model may be clutter, so they pull less.
+fn model(classes: &[Class]) -> RangeNoise {
+    if classes.is_empty() {
+        return RangeNoise::uniform(0.01);
+    }
+    let mut best = (f64::INFINITY, RangeNoise::uniform(0.01));
+    for subset in 1..8_u8 {
+        let Some(noise) = fit_terms(classes, subset) else { continue };
+        let cost: f64 = classes
+            .iter()
+            .map(|class| {
+                let ratio = (class.variance / noise.variance(class.range_m)).ln();
+                // A class of n samples knows its variance to about sqrt(5 / n); no better than 10 %.
+                (ratio * ratio / (5.0 / class.samples + 0.01)).min(25.0)
+            })
+            .sum();
+        let cost = cost + 6.0 * f64::from(subset.count_ones());
+        if cost < best.0 {
+            best = (cost, noise);
+        }
+    }
+    best.1
+}
+
+/// Weighted least squares with the terms of `subset` (bits: constant, square, fourth); `None` where
+/// a factor would be negative or cannot be told.
+fn fit_terms(classes: &[Class], subset: u8) -> Option<RangeNoise> {
+    let mut factors = [0.0; 3];
+    let weights_from = |class: &Class, factors: &[f64; 3]| {
+        let square = class.range_m * class.range_m;
+        let noise = RangeNoise { constant: factors[0], square: factors[1], fourth: factors[2] };
+        let expected = noise.variance(class.range_m);
+        let scale = if expected > 0.0 { expected } else { class.variance };
+        let excess = class.variance / scale;
+        let trust = if excess > 1.5 { 1.5 / excess } else { 1.0 };
+        let weight = trust * class.samples / (scale * scale);
+        (weight, [1.0, square, square * square])
+    };
+    for _ in 0..4 {
+        let mut normal = nalgebra::Matrix3::<f64>::zeros();
+        let mut right = nalgebra::Vector3::<f64>::zeros();
+        for class in classes {
+            let (weight, terms) = weights_from(class, &factors);
+            for i in 0..3 {
+                right[i] += weight * terms[i] * class.variance;
+                for j in 0..3 {
+                    normal[(i, j)] += weight * terms[i] * terms[j];
+                }
+            }
+        }
+        for i in 0..3 {
+            if subset & (1 << i) == 0 {
+                normal.row_mut(i).fill(0.0);
+                normal.column_mut(i).fill(0.0);
+                normal[(i, i)] = 1.0;
+                right[i] = 0.0;
+            }
+        }
+        // The terms differ by orders of magnitude: scale the diagonal to one.
+        let scale = normal.diagonal().map(|d| 1.0 / d.sqrt());
+        let scaled = nalgebra::Matrix3::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
+        let solution = scaled.cholesky()?.solve(&right.component_mul(&scale)).component_mul(&scale);
+        factors = [solution[0], solution[1], solution[2]];
+        if factors.iter().any(|factor| factor.is_nan() || *factor < 0.0) {
+            return None;
+        }
+    }
+    let noise = RangeNoise { constant: factors[0], square: factors[1], fourth: factors[2] };
+    Some(RangeNoise { constant: noise.constant.max(FLOOR_M * FLOOR_M), ..noise })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn classes(variance: impl Fn(usize, f64) -> f64) -> Vec<SlopeClass> {
+        (1..8_i32)
+            .map(|k| {
+                let steepness = 22.0 * 2.0_f64.powi(k);
+                let variance = variance(k as usize, steepness);
+                SlopeClass { steepness, variance, samples: 100.0 }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn variances_that_rise_with_the_slope_tell_the_angle_whatever_an_edge_says() {
+        let told = classes(|k, h| if k == 2 { 90.0 } else { 0.5 + 1e-4 * h * h });
+        let angle = angle_of(&told).unwrap();
+        assert!((angle / 1e-2 - 1.0).abs() < 0.1, "{angle}");
+    }
+
+    #[test]
+    fn level_variances_are_no_error_of_the_angle() {
+        let told = classes(|k, _| [1.0, 1.1, 0.9, 1.0, 1.2, 1.1, 1.7, 3.0][k]);
+        assert_eq!(angle_of(&told), None);
+        assert_eq!(angle_of(&told[..2]), None);
+    }
+}
