@@ -169,13 +169,17 @@ impl Mapper {
         }
         let (last, _) = self.last();
         let turn = perturbation::second_jacobian(&last);
-        let covariance = turn * self.config.odometry.covariance(&self.motion) * turn.transpose();
+        let reckoned = turn * self.config.odometry.covariance(&self.motion) * turn.transpose();
+        // An inertial unit knows the attitude better than a line of floor points and a head at rest
+        // do, and the height with it: what is asked of the line is x, y and heading.
+        let mut prior = Matrix6::from_diagonal_element(HELD_SIGMA * HELD_SIGMA);
+        copy_planar(&reckoned, &mut prior);
         let predicted = last * self.motion.before_from_after * now_from_then;
         let found =
-            align_line(&config, self.landmarks(), &predicted, &covariance, robot_from_sensor, line);
+            align_line(&config, self.landmarks(), &predicted, &prior, robot_from_sensor, line);
         let Some(found) = found else { return false };
         let now = found.world_from_robot * now_from_then.inverse();
-        let mut covariance = odometry;
+        let mut covariance = reckoned;
         for held in [2, 3, 4] {
             for planar in PLANAR {
                 (covariance[(held, planar)], covariance[(planar, held)]) = (0.0, 0.0);
