@@ -47,6 +47,13 @@ impl LineWriter {
         self
     }
 
+    /// `{body` without its closing brace, as the UDK server writes in one place.
+    pub(super) fn unclosed(&mut self, body: &str) -> &mut Self {
+        self.open();
+        text::push_wire(&mut self.out, body);
+        self
+    }
+
     /// `{key value}`, the value written by `value`.
     fn segment(&mut self, key: &str, value: impl FnOnce(&mut Self)) -> &mut Self {
         self.open();

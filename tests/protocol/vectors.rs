@@ -83,8 +83,8 @@ const EXCEPTIONS: &[(&str, &str, &str)] = &[
     ),
     (
         "E08",
-        "STA {Name n} {Size 1.0000,1.0000,1.0000} {Location 1.0000,2.0000,3.0000} {Memory text} {Rotation 0.0000,0.0000,0.0000}",
-        "a reader's vector: the unbalanced braces are not imitated",
+        "STA {Name n} {Size 1.0000,1.0000,1.0000} {Location 1.0000,2.0000,3.0000 {Memory {text} {Rotation 0.0000,0.0000,0.0000}",
+        "a reader's vector: decimals as no server writes them; its braces are the server's",
     ),
     (
         "E10",

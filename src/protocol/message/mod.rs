@@ -161,7 +161,7 @@ pub fn encode_message(message: &Message, dialect: Dialect) -> Vec<u8> {
     match message {
         Message::Nfo(nfo) => line("NFO", &|w| nfo.write(w, dialect)),
         Message::Sta(sta) => line("STA", &|w| sta.write(w, dialect)),
-        Message::ObjectSta(object) => line("STA", &|w| object.write(w)),
+        Message::ObjectSta(object) => line("STA", &|w| object.write(w, dialect)),
         Message::Sen(sen) => line("SEN", &|w| sen.write(w, dialect)),
         Message::GroundTruth(truth) => line("SEN", &|w| truth.write(w, dialect)),
         Message::MisSta(state) => line("MISSTA", &|w| state.write(w, dialect)),

@@ -1,6 +1,6 @@
 //! `STA`: the periodic state of the robot.
 
-use crate::protocol::encode::LineWriter;
+use crate::protocol::encode::{LineWriter, joined};
 use crate::protocol::fields::Fields;
 use crate::protocol::{Dialect, NamedValue, Segment, number, text};
 use crate::time::Stamp;
@@ -139,12 +139,21 @@ impl ObjectSta {
         Some(Self { name, size, location, memory, rotation, extra: fields.rest() })
     }
 
-    pub(super) fn write(&self, w: &mut LineWriter) {
+    /// UDK forgets two closing braces, and writes the memory of an object that has none.
+    pub(super) fn write(&self, w: &mut LineWriter, dialect: Dialect) {
         w.text("Name", &self.name).list("Size", &self.size, 4);
-        if let Some(location) = &self.location {
-            w.list("Location", location, 4);
+        match (&self.location, dialect) {
+            (Some(location), Dialect::Udk) => {
+                w.unclosed(&format!("Location {}", joined(location, 4)));
+                w.unclosed("Memory").bare(&self.memory);
+            }
+            (location, _) => {
+                if let Some(location) = location {
+                    w.list("Location", location, 4);
+                }
+                w.text_unless_empty("Memory", &self.memory);
+            }
         }
-        w.text_unless_empty("Memory", &self.memory);
         if let Some(rotation) = &self.rotation {
             w.list("Rotation", rotation, 4);
         }
