@@ -115,16 +115,13 @@ impl Trail {
     /// The command that drives back along the track with the bow ahead, for a robot that has turned
     /// round since; `None` where the track does not lie within 60° of its bow.
     pub fn head_back(&self, pose: &Pose2, speed_mps: f64, turn_rps: f64) -> Option<DriveCommand> {
-        let lookahead_m = 0.25;
-        let target = self
-            .crumbs
-            .iter()
-            .rev()
-            .find(|crumb| crumb.distance_m(&pose.point()) >= lookahead_m)?;
+        const LOOKAHEAD_M: f64 = 0.25;
+        // The way back becomes track as well, behind the robot; what lies ahead is the old one.
+        let target = self.crumbs.iter().rev().find(|crumb| {
+            (LOOKAHEAD_M..2.0 * LOOKAHEAD_M).contains(&crumb.distance_m(&pose.point()))
+                && pose.bearing_rad(&crumb.point()).abs() <= PI / 3.0
+        })?;
         let bow_rad = pose.bearing_rad(&target.point());
-        if bow_rad.abs() > PI / 3.0 {
-            return None;
-        }
         let curvature = 2.0 * bow_rad.sin() / pose.distance_m(&target.point());
         let command = DriveCommand { linear_mps: speed_mps, angular_rps: speed_mps * curvature };
         Some(command.limited(speed_mps, turn_rps))
