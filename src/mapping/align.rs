@@ -44,6 +44,9 @@ pub struct AlignConfig {
     pub landmark_sigma_m: f64,
     /// Standard deviation of the tilt of the resting head, in radians. Valid: 0.0001 to 0.1.
     pub tilt_sigma_rad: f64,
+    /// Standard deviation of what the wheels may slip between two lines, in metres, besides what odometry
+    /// is charged per way. Valid: 0 to 0.5.
+    pub slip_sigma_m: f64,
     /// Distance of an endpoint from a plane at which it may still lie on it, in standard deviations.
     /// Valid: 1 to 6.
     pub gate_sigmas: f64,
@@ -64,6 +67,7 @@ impl Default for AlignConfig {
             point_sigma_m: 0.02,
             landmark_sigma_m: 0.015,
             tilt_sigma_rad: 0.004,
+            slip_sigma_m: 0.03,
             gate_sigmas: 3.0,
             gate_m: 0.4,
             least_points: 12,

@@ -96,6 +96,10 @@ pub struct Mapper {
     config: MapperConfig,
     /// Motion since the last scan.
     motion: Motion,
+    /// The same with the spread that lines taken since have left of it: how far the next line may
+    /// be off. The scan itself keeps the spread of odometry, as the lines rest on the same
+    /// landmarks, and wheels that spin in place are further off than any line can tell.
+    line_motion: Motion,
     /// Roll, pitch and their standard deviation as last measured.
     attitude: Option<(f64, f64, f64)>,
     engine: Engine,
@@ -129,7 +133,13 @@ impl Mapper {
                 Engine::Full(Box::new(Full::new(config.full.clone(), world_from_robot, covariance)))
             }
         };
-        Self { config, motion: Motion::default(), attitude: None, engine }
+        Self {
+            config,
+            motion: Motion::default(),
+            line_motion: Motion::default(),
+            attitude: None,
+            engine,
+        }
     }
 
     /// Settings that the mapper runs with.
@@ -141,6 +151,7 @@ impl Mapper {
     /// measured the turn in it.
     pub fn predict(&mut self, before_from_after: &Isometry3<f64>, source: TurnSource) {
         self.motion.append(before_from_after, source);
+        self.line_motion.append(before_from_after, source);
     }
 
     /// Takes in a motion that something else than the wheels measured, with its covariance as a
@@ -148,14 +159,14 @@ impl Mapper {
     /// all and a wide covariance.
     pub fn predict_with(&mut self, before_from_after: &Isometry3<f64>, covariance: &Matrix6<f64>) {
         self.motion.append_measured(before_from_after, covariance);
+        self.line_motion.append_measured(before_from_after, covariance);
     }
 
     /// Corrects the motion since the last scan by a line that the resting laser at `robot_from_sensor`
     /// took when the robot was at `now_from_then` in its frame of now. True if the pose changed.
     ///
-    /// The paper's mode knows nothing of it. What the line says of the pose rests on landmarks that
-    /// the next scan sees again; the error that they share with it stands in
-    /// [`AlignConfig::landmark_sigma_m`], so that the scan is not taken for a second witness of it.
+    /// The paper's mode knows nothing of it. Only the pose is corrected: the spread with which the next
+    /// scan begins stays that of odometry, as the line rests on landmarks that the scan sees again.
     pub fn align(
         &mut self,
         line: &LaserLine,
@@ -163,17 +174,21 @@ impl Mapper {
         now_from_then: &Isometry3<f64>,
     ) -> bool {
         let config = self.config.align;
-        let due = self.motion.path_m >= config.every_m || self.motion.turn_rad >= config.every_rad;
+        let since = &self.line_motion;
+        let due = since.path_m >= config.every_m || since.turn_rad >= config.every_rad;
         if !config.enabled || !due || self.config.mode == Mode::Mip {
             return false;
         }
         let (last, _) = self.last();
         let turn = perturbation::second_jacobian(&last);
-        let reckoned = turn * self.config.odometry.covariance(&self.motion) * turn.transpose();
+        let reckoned = turn * self.config.odometry.covariance(since) * turn.transpose();
         // An inertial unit knows the attitude better than a line of floor points and a head at rest
         // do, and the height with it: what is asked of the line is x, y and heading.
         let mut prior = Matrix6::from_diagonal_element(HELD_SIGMA * HELD_SIGMA);
         copy_planar(&reckoned, &mut prior);
+        for axis in [0, 1] {
+            prior[(axis, axis)] += config.slip_sigma_m * config.slip_sigma_m;
+        }
         let predicted = last * self.motion.before_from_after * now_from_then;
         let found =
             align_line(&config, self.landmarks(), &predicted, &prior, robot_from_sensor, line);
@@ -187,7 +202,8 @@ impl Mapper {
         }
         copy_planar(&found.covariance, &mut covariance);
         let covariance = turn.transpose() * covariance * turn;
-        self.motion = Motion::known(last.inverse() * now, covariance);
+        self.motion.before_from_after = last.inverse() * now;
+        self.line_motion = Motion::known(self.motion.before_from_after, covariance);
         true
     }
 
@@ -200,6 +216,7 @@ impl Mapper {
     /// Takes in the planes of one scan, made while the robot stood where odometry has it now.
     pub fn observe(&mut self, scan: &ScanObservations) -> UpdateReport {
         let motion = std::mem::take(&mut self.motion);
+        self.line_motion = Motion::default();
         let attitude = self.attitude.take();
         let covariance = if motion.is_still() && self.is_empty() {
             // The start is where it was said to be.
