@@ -5,7 +5,7 @@ use super::speed::{
 };
 use super::{DriveCommand, Pose2};
 use crate::geometry::wrap_pi;
-use crate::terrain::{CellClass, Grid, RobotShape};
+use crate::terrain::{Grid, RobotShape};
 use serde::{Deserialize, Serialize};
 
 /// Speed past an obstacle that is closer than the margin, in m/s.
@@ -245,7 +245,7 @@ impl Follower {
     ) -> Result<DriveCommand, Conflict> {
         match self.footprint.free_turn_rad(grid, pose, error_rad) {
             Ok(turn_rad) => Ok(self.turn(turn_rad)),
-            Err(conflict) if conflict.class == CellClass::Occupied => self
+            Err(conflict) if conflict.is_solid() => self
                 .squeezed
                 .free_turn_rad(grid, pose, error_rad)
                 .map(|turn_rad| self.turn(turn_rad).limited(0.0, SQUEEZE_RPS))
@@ -300,7 +300,7 @@ impl Follower {
         );
         match conflict {
             Some(conflict) if stop_mps < 0.02 => {
-                let beside = conflict.class == CellClass::Occupied
+                let beside = conflict.is_solid()
                     && self
                         .safe_ahead(&self.squeezed, pose, grid, curvature, SQUEEZE_MPS)
                         .1

@@ -36,6 +36,11 @@ pub struct Conflict {
 }
 
 impl Conflict {
+    /// Whether a touch at a creep does no harm: a wall, or ground that only stops the wheels.
+    pub fn is_solid(&self) -> bool {
+        matches!(self.class, CellClass::Occupied | CellClass::TooSteep)
+    }
+
     /// Whether a sweep from here may make the way safe: the ground is unknown or not sure.
     pub fn needs_look(&self) -> bool {
         self.class.is_drivable()
@@ -115,7 +120,7 @@ impl Footprint {
                     _ if class.is_drivable() => -half_cell_m,
                     _ if roomy => continue,
                     _ if class.is_edge() => self.edge_margin_m + half_cell_m,
-                    CellClass::Occupied if self.squeezed => 0.0,
+                    CellClass::Occupied | CellClass::TooSteep if self.squeezed => 0.0,
                     _ => self.margin_m + half_cell_m,
                 };
                 let centre = grid.centre(cell);
