@@ -24,6 +24,9 @@ const CAP_SQUARE: f32 = (CAP * CAP) as f32;
 /// Room for any reason, so that a string can take another one without a new allocation.
 const REASON_BYTES: usize = 64;
 
+/// Room for the vertices of nearly any hull, so that any region can take any spare one.
+const HULL_VERTICES: usize = 64;
+
 /// About how many cells of a region tell which shape it has.
 const TRIAL_CELLS: usize = 250;
 
@@ -239,7 +242,8 @@ impl Assembler {
                         let d = p - origin;
                         [ex.dot(&d), ey.dot(&d)]
                     }));
-                    let mut hull = self.spare_hulls.pop().unwrap_or_default();
+                    let fresh = || Vec::with_capacity(HULL_VERTICES);
+                    let mut hull = self.spare_hulls.pop().unwrap_or_else(fresh);
                     self.hull.find(&self.flat, &mut hull);
                     let patch = PlanePatch { grid_from_plane, covariance, hull };
                     let plane = patch.plane();
