@@ -1,6 +1,6 @@
 //! Where the robot's body was over time, for scans that are taken while it drives.
 
-use crate::geometry::lie::{se3_exp, se3_log};
+use crate::geometry::lie::se3_between;
 use crate::time::{Span, Stamp};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -51,8 +51,7 @@ impl BodyTrack {
             return None;
         }
         let share = (stamp - early).seconds() / (late - early).seconds();
-        let screw = se3_log(&(pose_early.inverse() * pose_late));
-        Some(pose_early * se3_exp(&(screw * share)))
+        Some(se3_between(&pose_early, &pose_late, share))
     }
 
     /// Where the body was at `stamp` as seen from its newest pose.

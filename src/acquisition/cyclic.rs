@@ -6,7 +6,7 @@
 
 use super::control::HeadControl;
 use super::dated::Taken;
-use crate::geometry::lie::{se3_exp, se3_log};
+use crate::geometry::lie::se3_between;
 use crate::robot::{HeadPose, ScanHead};
 use crate::scan::{ImageRow, LaserLine, RangeImage};
 use crate::time::{Span, Stamp};
@@ -215,10 +215,10 @@ impl RecordedTriples {
         let (a, b) = (&self.triples[after.saturating_sub(1)], &self.triples[after.min(last)]);
         let seconds = (b.stamp - a.stamp).seconds();
         let share = if seconds > 0.0 { (stamp - a.stamp).seconds() / seconds } else { 0.0 };
-        let screw = se3_log(&(a.frame_from_robot.inverse() * b.frame_from_robot));
+        let share = share.clamp(0.0, 1.0);
         (
-            a.tilt_rad + share.clamp(0.0, 1.0) * (b.tilt_rad - a.tilt_rad),
-            a.frame_from_robot * se3_exp(&(screw * share.clamp(0.0, 1.0))),
+            a.tilt_rad + share * (b.tilt_rad - a.tilt_rad),
+            se3_between(&a.frame_from_robot, &b.frame_from_robot, share),
         )
     }
 }

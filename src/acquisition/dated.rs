@@ -89,7 +89,7 @@ pub(super) fn dated_rows(
             pose: HeadPose { pan_rad, tilt_rad: estimate.angle_rad },
             tilt_sigma_rad: still.hypot(moving),
             reference_from_robot: triple.frame_from_robot,
-            line: Some(taken.line.clone()),
+            line: Some(triple.line),
         };
         rows.push(DatedRow { row, supported });
     }

@@ -27,8 +27,6 @@ struct Candidate {
     y_m: f64,
     way_m: f64,
     travel_s: f64,
-    /// There is hardly room to turn.
-    tight: bool,
     /// Upper bound of its worth per second.
     bound: f64,
 }
@@ -51,10 +49,11 @@ impl Explorer {
         let from = grid.cell_of(pose.x_m, pose.y_m);
         let field = planner.field(costs, from);
         let mut view = ViewMap::new(grid, &self.looks);
+        let turning_m = shape.circumscribed_radius_m();
         let found = frontiers(grid, self.config.least_frontier_cells);
         let candidates = self.candidates(grid, &field, shape, &view, pose, now);
         let kept = self.current.take().and_then(|current| {
-            self.weigh(&mut view, &field, pose, current.cell, grid)
+            self.weigh(&mut view, &field, pose, current.cell, grid, turning_m)
                 .filter(|choice| choice.gain_m2 >= self.config.least_gain_m2)
                 .filter(|choice| self.is_open(&choice.goal, now))
                 .map(|choice| Choice { kept: true, ..choice })
@@ -67,12 +66,10 @@ impl Explorer {
                 break;
             }
             tried += 1;
-            let Some(mut choice) = self.weigh(&mut view, &field, pose, candidate.cell, grid) else {
+            let Some(choice) = self.weigh(&mut view, &field, pose, candidate.cell, grid, turning_m)
+            else {
                 continue;
             };
-            if candidate.tight {
-                choice.seconds += TIGHT_S;
-            }
             if choice.gain_m2 >= self.config.least_gain_m2 && worth(&choice) > least {
                 best = Some(choice);
             }
@@ -123,33 +120,22 @@ impl Explorer {
         }
         let sums = view.unknown_sums();
         let turning_m = shape.circumscribed_radius_m();
-        let room_m = |cell: &CellIndex| f64::from(grid.get(*cell).room_m);
-        // A view pose must let the robot turn to its heading, and out of it again.
-        cells.retain(|cell| room_m(cell) >= turning_m);
         let mut candidates: Vec<Candidate> = cells
             .into_iter()
             .filter_map(|cell| {
                 let centre = grid.centre(cell);
                 let goal = Pose2 { x_m: centre.x, y_m: centre.y, yaw_rad: 0.0 };
-                if !self.is_open(&goal, now) {
+                // A view pose must let the robot turn to its heading.
+                if f64::from(grid.get(cell).room_m) < turning_m || !self.is_open(&goal, now) {
                     return None;
                 }
                 let way_m = field.cost_m(cell)?;
-                let tight = room_m(&cell) < turning_m + SPARE_M;
                 let travel_s =
-                    self.travel_s(pose, &goal, way_m) + if tight { TIGHT_S } else { 0.0 };
+                    self.travel_s(pose, &goal, way_m) + tightness_s(grid, cell, turning_m);
                 let reach_m = self.config.view_range_m;
                 let bound_m2 = view.bound_m2(&sums, centre.x, centre.y, reach_m);
                 let bound = bound_m2 / (travel_s + self.config.scan_s);
-                Some(Candidate {
-                    cell,
-                    x_m: centre.x,
-                    y_m: centre.y,
-                    way_m,
-                    travel_s,
-                    tight,
-                    bound,
-                })
+                Some(Candidate { cell, x_m: centre.x, y_m: centre.y, way_m, travel_s, bound })
             })
             .collect();
         candidates.sort_by(|a, b| {
@@ -179,6 +165,7 @@ impl Explorer {
         pose: &Pose2,
         cell: CellIndex,
         grid: &Grid,
+        turning_m: f64,
     ) -> Option<Choice> {
         let way_m = field.cost_m(cell)?;
         let centre = grid.centre(cell);
@@ -205,7 +192,7 @@ impl Explorer {
             cell,
             gain_m2,
             way_m,
-            seconds: travel_s + turn_s + config.scan_s,
+            seconds: travel_s + turn_s + config.scan_s + tightness_s(grid, cell, turning_m),
             frontier: None,
             kept: false,
             reasons: Vec::new(),
@@ -299,6 +286,11 @@ impl Explorer {
             .max()
             .unwrap_or(0)
     }
+}
+
+/// What it costs that a place has hardly room to turn, in seconds.
+fn tightness_s(grid: &Grid, cell: CellIndex, turning_m: f64) -> f64 {
+    if f64::from(grid.get(cell).room_m) < turning_m + SPARE_M { TIGHT_S } else { 0.0 }
 }
 
 /// Square metres per second.

@@ -48,6 +48,12 @@ pub fn se3_exp(tangent: &Vector6<f64>) -> Isometry3<f64> {
     )
 }
 
+/// The pose on the screw from `from` to `to`, `share` of the way along it; beyond both for shares
+/// outside 0 to 1.
+pub fn se3_between(from: &Isometry3<f64>, to: &Isometry3<f64>, share: f64) -> Isometry3<f64> {
+    from * se3_exp(&(se3_log(&(from.inverse() * to)) * share))
+}
+
 /// The tangent vector of a rigid motion, inverse of [`se3_exp`]; the rotation part has a norm of
 /// at most π.
 pub fn se3_log(motion: &Isometry3<f64>) -> Vector6<f64> {

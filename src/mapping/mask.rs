@@ -134,12 +134,6 @@ impl PlaneMask {
         })
     }
 
-    /// Whether a cell within `reach_m` of a point in each axis is set.
-    pub fn within(&self, point: &Point2<f64>, reach_m: f64) -> bool {
-        let reach = (reach_m.max(0.0) / MASK_CELL_M).ceil() as i32;
-        self.any_within(cell_of(point.x), cell_of(point.y), reach)
-    }
-
     /// Whether a cell within `reach` cells of `(x, y)` in each axis is set.
     fn any_within(&self, x: i32, y: i32, reach: i32) -> bool {
         let (low_x, high_x, low_y, high_y) = (x - reach, x + reach, y - reach, y + reach);

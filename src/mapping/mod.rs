@@ -9,7 +9,6 @@
 //! perturbations `[δt; δr]` in the world frame: the true pose has translation `t + δt` and rotation
 //! `exp(δr) R`.
 
-mod align;
 mod association;
 mod attitude;
 mod belief;
@@ -29,7 +28,6 @@ mod report;
 mod scan_errors;
 mod sight;
 
-pub use align::{AlignConfig, Alignment, align_line};
 pub use association::AssociationConfig;
 pub use full::{Full, FullConfig};
 pub use graph::GraphConfig;
@@ -44,7 +42,6 @@ pub use report::{
 };
 pub use scan_errors::{ScanErrors, ScanObservations, common_error_jacobian};
 
-use crate::scan::LaserLine;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
 
@@ -71,23 +68,6 @@ pub struct MapperConfig {
     pub mip: MipConfig,
     /// The full mode.
     pub full: FullConfig,
-    /// Lines taken between two scans, in the full mode.
-    pub align: AlignConfig,
-}
-
-/// Rows of x, y and heading in a perturbation of a pose.
-const PLANAR: [usize; 3] = [0, 1, 5];
-
-/// Standard deviation of what a line is not asked about, in metres and radians.
-const HELD_SIGMA: f64 = 1e-3;
-
-/// Copies the block of x, y and heading.
-fn copy_planar(from: &Matrix6<f64>, to: &mut Matrix6<f64>) {
-    for row in PLANAR {
-        for column in PLANAR {
-            to[(row, column)] = from[(row, column)];
-        }
-    }
 }
 
 /// Pose and map, fed with odometry and scans.
@@ -96,10 +76,6 @@ pub struct Mapper {
     config: MapperConfig,
     /// Motion since the last scan.
     motion: Motion,
-    /// The same with the spread that lines taken since have left of it: how far the next line may
-    /// be off. The scan itself keeps the spread of odometry, as the lines rest on the same
-    /// landmarks, and wheels that spin in place are further off than any line can tell.
-    line_motion: Motion,
     /// Roll, pitch and their standard deviation as last measured.
     attitude: Option<(f64, f64, f64)>,
     engine: Engine,
@@ -133,13 +109,7 @@ impl Mapper {
                 Engine::Full(Box::new(Full::new(config.full.clone(), world_from_robot, covariance)))
             }
         };
-        Self {
-            config,
-            motion: Motion::default(),
-            line_motion: Motion::default(),
-            attitude: None,
-            engine,
-        }
+        Self { config, motion: Motion::default(), attitude: None, engine }
     }
 
     /// Settings that the mapper runs with.
@@ -151,7 +121,6 @@ impl Mapper {
     /// measured the turn in it.
     pub fn predict(&mut self, before_from_after: &Isometry3<f64>, source: TurnSource) {
         self.motion.append(before_from_after, source);
-        self.line_motion.append(before_from_after, source);
     }
 
     /// Takes in a motion that something else than the wheels measured, with its covariance as a
@@ -159,52 +128,6 @@ impl Mapper {
     /// all and a wide covariance.
     pub fn predict_with(&mut self, before_from_after: &Isometry3<f64>, covariance: &Matrix6<f64>) {
         self.motion.append_measured(before_from_after, covariance);
-        self.line_motion.append_measured(before_from_after, covariance);
-    }
-
-    /// Corrects the motion since the last scan by a line that the resting laser at `robot_from_sensor`
-    /// took when the robot was at `now_from_then` in its frame of now. True if the pose changed.
-    ///
-    /// The paper's mode knows nothing of it. Only the pose is corrected: the spread with which the next
-    /// scan begins stays that of odometry, as the line rests on landmarks that the scan sees again.
-    pub fn align(
-        &mut self,
-        line: &LaserLine,
-        robot_from_sensor: &Isometry3<f64>,
-        now_from_then: &Isometry3<f64>,
-    ) -> bool {
-        let config = self.config.align;
-        let since = &self.line_motion;
-        let due = since.path_m >= config.every_m || since.turn_rad >= config.every_rad;
-        if !config.enabled || !due || self.config.mode == Mode::Mip {
-            return false;
-        }
-        let (last, _) = self.last();
-        let turn = perturbation::second_jacobian(&last);
-        let reckoned = turn * self.config.odometry.covariance(since) * turn.transpose();
-        // An inertial unit knows the attitude better than a line of floor points and a head at rest
-        // do, and the height with it: what is asked of the line is x, y and heading.
-        let mut prior = Matrix6::from_diagonal_element(HELD_SIGMA * HELD_SIGMA);
-        copy_planar(&reckoned, &mut prior);
-        for axis in [0, 1] {
-            prior[(axis, axis)] += config.slip_sigma_m * config.slip_sigma_m;
-        }
-        let predicted = last * self.motion.before_from_after * now_from_then;
-        let found =
-            align_line(&config, self.landmarks(), &predicted, &prior, robot_from_sensor, line);
-        let Some(found) = found else { return false };
-        let now = found.world_from_robot * now_from_then.inverse();
-        let mut covariance = reckoned;
-        for held in [2, 3, 4] {
-            for planar in PLANAR {
-                (covariance[(held, planar)], covariance[(planar, held)]) = (0.0, 0.0);
-            }
-        }
-        copy_planar(&found.covariance, &mut covariance);
-        let covariance = turn.transpose() * covariance * turn;
-        self.motion.before_from_after = last.inverse() * now;
-        self.line_motion = Motion::known(self.motion.before_from_after, covariance);
-        true
     }
 
     /// Takes in the attitude that an inertial unit measures now, roll and pitch of `Rz Ry Rx` with
@@ -216,7 +139,6 @@ impl Mapper {
     /// Takes in the planes of one scan, made while the robot stood where odometry has it now.
     pub fn observe(&mut self, scan: &ScanObservations) -> UpdateReport {
         let motion = std::mem::take(&mut self.motion);
-        self.line_motion = Motion::default();
         let attitude = self.attitude.take();
         let covariance = if motion.is_still() && self.is_empty() {
             // The start is where it was said to be.

@@ -157,12 +157,6 @@ impl Motion {
         self.before_from_after.rotation.renormalize();
     }
 
-    /// A motion that is known as a whole, with the covariance of its perturbation in the frame at its
-    /// beginning: what something else than the wheels says of where they led.
-    pub fn known(before_from_after: Isometry3<f64>, covariance: Matrix6<f64>) -> Self {
-        Self { before_from_after, measured: covariance, ..Self::default() }
-    }
-
     /// Whether nothing was appended that moved the robot.
     pub fn is_still(&self) -> bool {
         self.path_m == 0.0 && self.turn_rad == 0.0 && self.measured == Matrix6::zeros()

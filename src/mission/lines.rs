@@ -1,7 +1,7 @@
-//! Lines taken between two sweeps: when and where, what they correct, and into the terrain with them.
+//! Lines taken between two sweeps: when and where, and into the terrain with them.
 
 use super::belief::Belief;
-use crate::geometry::lie::{se3_exp, se3_log};
+use crate::geometry::lie::se3_between;
 use crate::scan::{ImageRow, LaserLine, RangeImage};
 use crate::time::Stamp;
 use nalgebra::Isometry3;
@@ -17,7 +17,6 @@ pub(super) struct PendingLine {
     robot_from_sensor: Isometry3<f64>,
     tilt_rad: f64,
     cast: Stamp,
-    timed: bool,
 }
 
 impl Belief {
@@ -34,22 +33,19 @@ impl Belief {
         if seconds <= 0.0 {
             return Some((pose_late, 0.0));
         }
-        let tangent = se3_log(&(pose_early.inverse() * pose_late));
         let share = (stamp - early).seconds() / seconds;
-        let turn_rps = tangent.fixed_rows::<3>(3).norm() / seconds;
-        Some((pose_early * se3_exp(&(tangent * share)), turn_rps))
+        let turn_rps = pose_early.rotation.angle_to(&pose_late.rotation) / seconds;
+        Some((se3_between(&pose_early, &pose_late, share), turn_rps))
     }
 
     /// Takes in a line of the resting laser at `robot_from_sensor` whose rays were cast at `cast`. It is
-    /// mapped once odometry tells where the robot was then; where the time is `timed` well enough for a
-    /// moving robot, it corrects the pose before.
+    /// mapped once odometry tells where the robot was then.
     pub fn take_line(
         &mut self,
         line: &LaserLine,
         robot_from_sensor: &Isometry3<f64>,
         tilt_rad: f64,
         cast: Stamp,
-        timed: bool,
     ) {
         // A line that no odometry follows says where the robot still is.
         if self.pending.len() == MOST_PENDING {
@@ -60,7 +56,6 @@ impl Belief {
             robot_from_sensor: *robot_from_sensor,
             tilt_rad,
             cast,
-            timed,
         });
         self.map_pending();
     }
@@ -77,13 +72,10 @@ impl Belief {
 
     /// Maps a line, unless the robot turned too fast for it.
     fn map_line(&mut self, pending: &PendingLine) {
-        let PendingLine { line, robot_from_sensor, tilt_rad, cast, timed } = pending;
-        let Some((mut keyframe_from_robot, turn_rps)) = self.at(*cast) else { return };
+        let PendingLine { line, robot_from_sensor, tilt_rad, cast } = pending;
+        let Some((keyframe_from_robot, turn_rps)) = self.at(*cast) else { return };
         if turn_rps > self.config.mapped_turn_rps {
             return;
-        }
-        if *timed {
-            keyframe_from_robot = self.align(line, robot_from_sensor, keyframe_from_robot);
         }
         let bearings = (0..line.len()).map(|beam| line.bearing_rad(beam)).collect();
         let mut image = RangeImage::new(*robot_from_sensor, bearings, line.max_range_m);
@@ -96,29 +88,6 @@ impl Belief {
         image.push_line(row, line);
         self.live.integrate(&image, &(self.keyframe_pose() * keyframe_from_robot));
         self.leg.lines.push((keyframe_from_robot, self.leg.path_m, image));
-    }
-
-    /// Lets a line taken at `keyframe_from_then` correct the pose; gives where it was taken by the
-    /// corrected one.
-    fn align(
-        &mut self,
-        line: &LaserLine,
-        robot_from_sensor: &Isometry3<f64>,
-        keyframe_from_then: Isometry3<f64>,
-    ) -> Isometry3<f64> {
-        let keyframe = self.keyframe_pose();
-        let before = self.keyframe_from_robot;
-        let now_from_then = before.inverse() * keyframe_from_then;
-        if !self.mapper.align(line, robot_from_sensor, &now_from_then) {
-            return keyframe_from_then;
-        }
-        let after = keyframe.inverse() * self.mapper.world_from_robot();
-        let correction = after * before.inverse();
-        for (_, pose) in &mut self.history {
-            *pose = correction * *pose;
-        }
-        self.keyframe_from_robot = after;
-        after * now_from_then
     }
 
     /// Maps an image taken under way, its rows displaced to where they were seen from where the robot

@@ -138,10 +138,8 @@ impl Running {
             let world_from_robot = self.belief.world_from_robot();
             self.pilot.watch(line, &robot_from_sensor, &world_from_robot, &self.grid, desk.now);
             if !matches!(self.activity, Activity::Sweep | Activity::Settle { .. }) {
-                let control = acquisition.control();
-                let cast = control.cast_time(line);
-                let timed = control.timing().calibrated;
-                self.belief.take_line(line, &robot_from_sensor, pose.tilt_rad, cast, timed);
+                let cast = acquisition.control().cast_time(line);
+                self.belief.take_line(line, &robot_from_sensor, pose.tilt_rad, cast);
             }
         }
         self.head_event(&HeadEvent::Line(line), desk);

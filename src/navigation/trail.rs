@@ -109,9 +109,7 @@ impl Trail {
         let command = DriveCommand { linear_mps: -speed_mps, angular_rps: -speed_mps * curvature };
         Some(command.limited(speed_mps, turn_rps))
     }
-}
 
-impl Trail {
     /// The command that drives back along the track with the bow ahead, for a robot that has turned
     /// round since; `None` where the track does not lie within 60° of its bow.
     pub fn head_back(&self, pose: &Pose2, speed_mps: f64, turn_rps: f64) -> Option<DriveCommand> {

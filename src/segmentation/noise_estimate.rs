@@ -104,6 +104,23 @@ impl Probe {
     }
 }
 
+/// What four readings at equal distances differ by.
+struct Difference {
+    /// Of the inverse ranges, the last from the first, per metre.
+    first: f32,
+    /// The third difference of the inverse ranges, per metre.
+    third: f32,
+    /// Range of the second, in metres.
+    range: f32,
+}
+
+impl Difference {
+    /// The third difference as one of ranges, in metres.
+    fn error_m(&self) -> f32 {
+        self.third.abs() * self.range * self.range
+    }
+}
+
 impl NoiseEstimator {
     /// The errors of the readings in a field. A scan without enough neighbours gets 10 mm.
     ///
@@ -219,35 +236,18 @@ impl NoiseEstimator {
         let sigmas: [f32; RANGE_CLASSES] = std::array::from_fn(|class| {
             model.sigma_m(f64::from(span.0) + (class as f64 + 0.5) / f64::from(span.1)) as f32
         });
-        self.counts.iter_mut().for_each(|class| class.fill(0));
-        self.squares.iter_mut().for_each(|class| class.fill(0.0));
-        let lanes = field.lanes;
-        let stride = (field.len() / SAMPLES).max(1);
-        let apart = pitch * lanes;
-        for step in (0..field.steps.saturating_sub(3 * pitch)).step_by(stride) {
+        self.gather(field, [pitch, 0], |difference, step| {
             let turn = field.positions[step + 3 * pitch] - field.positions[step];
-            for lane in 0..lanes {
-                let cell = step * lanes + lane;
-                let [a, b, c, d] = [0, 1, 2, 3].map(|k| field.inverse[cell + k * apart]);
-                if a * b * c * d == 0.0 {
-                    continue;
-                }
-                let range = field.range[cell + apart];
-                let slope = (d - a).abs() / turn * range;
-                if slope > STEEPEST {
-                    continue;
-                }
-                let sigma = sigmas[range_class(range, span)];
-                // In a unit that the size classes are made for.
-                let error = ((a - d) + 3.0 * (c - b)).abs() * range * range / sigma * ANGLE_UNIT;
-                let steepness = slope * range / sigma;
-                let class =
-                    ((steepness / FLATTEST).log2().floor().clamp(-1.0, 10.0) + 1.0) as usize;
-                let size = size_class(error);
-                self.counts[class][size] += 1;
-                self.squares[class][size] += error * error;
+            let slope = difference.first.abs() / turn * difference.range;
+            if slope > STEEPEST {
+                return None;
             }
-        }
+            let sigma = sigmas[range_class(difference.range, span)];
+            let steepness = slope * difference.range / sigma;
+            let class = ((steepness / FLATTEST).log2().floor().clamp(-1.0, 10.0) + 1.0) as usize;
+            // In a unit that the size classes are made for.
+            Some((class, difference.error_m() / sigma * ANGLE_UNIT))
+        });
         let mut told = [SlopeClass::default(); RANGE_CLASSES];
         let all: u32 = self.counts[1..].iter().flatten().sum();
         let fewest = FEWEST.max(LEAST_SHARE * f64::from(all));
@@ -267,31 +267,45 @@ impl NoiseEstimator {
         angle_of(&told[..count])
     }
 
-    /// The variance in each class of range, from the part that the probe keeps and from the part that
-    /// is kept of far ones; `span` is the nearest range and classes per metre.
-    fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
+    /// Takes differences of four readings, `[down, right]` cells apart along and across, and counts the
+    /// size of each in the class that `filed` gives for it and its step, if it gives any.
+    fn gather(
+        &mut self,
+        field: &Field,
+        [down, right]: [usize; 2],
+        filed: impl Fn(Difference, usize) -> Option<(usize, f32)>,
+    ) {
         self.counts.iter_mut().for_each(|class| class.fill(0));
         self.squares.iter_mut().for_each(|class| class.fill(0.0));
         let lanes = field.lanes;
         let stride = (field.len() / SAMPLES).max(1);
-        let apart = probe.down * lanes + probe.right;
-        let last = lanes.saturating_sub(3 * probe.right);
-        for step in (0..field.steps.saturating_sub(3 * probe.down)).step_by(stride) {
+        let apart = down * lanes + right;
+        let last = lanes.saturating_sub(3 * right);
+        for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
             for lane in 0..last {
                 let cell = step * lanes + lane;
                 let [a, b, c, d] = [0, 1, 2, 3].map(|k| field.inverse[cell + k * apart]);
                 if a * b * c * d == 0.0 {
                     continue;
                 }
+                let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
                 let range = field.range[cell + apart];
-                let third = (a - d) + 3.0 * (c - b);
-                let error = third.abs() * range * range;
-                let class = range_class(range, span);
+                let Some((class, error)) = filed(Difference { first, third, range }, step) else {
+                    continue;
+                };
                 let size = size_class(error);
                 self.counts[class][size] += 1;
                 self.squares[class][size] += error * error;
             }
         }
+    }
+
+    /// The variance in each class of range, from the part that the probe keeps and from the part that
+    /// is kept of far ones; `span` is the nearest range and classes per metre.
+    fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
+        self.gather(field, [probe.down, probe.right], |difference, _| {
+            Some((range_class(difference.range, span), difference.error_m()))
+        });
         let classes = |share: f64, kept_variance: f64| {
             let (nearest, per_metre) = span;
             std::array::from_fn(|class| {
