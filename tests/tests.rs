@@ -6,6 +6,7 @@ mod acquisition;
 mod cli;
 mod layering;
 mod mapping;
+mod mission;
 mod protocol;
 mod replay;
 mod scripted;

@@ -122,6 +122,7 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
             observations: observations(segmentation, &grid, &Isometry3::identity()),
             robot_from_scan: Isometry3::identity(),
             errors: ScanErrors::default(),
+            contacts: Vec::new(),
         };
         let report = mapper.observe(&scan);
         let map_ms = clock.milliseconds();

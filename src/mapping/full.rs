@@ -36,10 +36,12 @@ const UNPROVEN: f64 = 9.0;
 const AGAINST_PER_CENT: f64 = 3.0;
 const TOLERATED_SHARE: f64 = 0.02;
 const MOST_AGAINST: f64 = 100.0;
+/// What it says against a pose that all wheels would be below a mapped floor, seen from the sensor.
+const SUNK: f64 = 20.0;
 /// Corrections that are looked at twice, whatever the odometry's noise allows, and how many pairs
 /// fewer another explanation may then have.
-const LARGE_M: f64 = 0.3;
-const LARGE_RAD: f64 = 0.1;
+const LARGE_M: f64 = 0.1;
+const LARGE_RAD: f64 = 0.03;
 const SLACK: usize = 2;
 /// Corrections that need proof.
 const FAR_M: f64 = 0.8;
@@ -323,8 +325,10 @@ fn judge(
             let pose = assignment.belief.world_from_robot;
             let covariance = assignment.belief.pose_covariance();
             let variance = (0..3).map(|i| covariance[(i, i)]).fold(0.0, f64::max);
-            let refuted = estimate.contradiction(&pose, variance.sqrt(), scan).share();
-            let score = assignment.support + log_prior - weight_of(refuted);
+            let against = estimate.contradiction(&pose, variance.sqrt(), scan);
+            let refuted = against.share();
+            let score =
+                assignment.support + log_prior - weight_of(refuted) - SUNK * against.sunk_share();
             let far = moves_far(predicted, &pose, FAR_M, FAR_RAD);
             Judged { prepared, assignment, score, refuted, far }
         })

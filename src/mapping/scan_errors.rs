@@ -45,6 +45,10 @@ pub struct ScanObservations {
     pub robot_from_scan: Isometry3<f64>,
     /// Errors common to the scan.
     pub errors: ScanErrors,
+    /// Where the wheels touch the ground, in the robot frame; empty where that is not known. A pose
+    /// that has a mapped surface between these points and the sensor cannot be.
+    #[serde(default)]
+    pub contacts: Vec<Point3<f64>>,
 }
 
 /// How one unit of each common error moves an observed plane: columns in the order of

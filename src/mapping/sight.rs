@@ -1,11 +1,12 @@
 //! Whether a scan could have been made from where it is said to have been made: a robot does not see
-//! through walls, and a wall does not stand close before another that was seen.
+//! through walls, a wall does not stand close before another that was seen, and no floor lies between
+//! the sensor and the wheels.
 
 use super::estimate::Estimate;
 use super::landmark::Landmark;
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
-use nalgebra::{Isometry3, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 
 /// Most points of one observation that are looked at.
 const SAMPLES_PER_PLANE: usize = 40;
@@ -33,12 +34,20 @@ pub(super) struct Contradiction {
     pub(super) samples: usize,
     /// Those that lie behind a surface of the map, seen from the sensor, or close before one.
     pub(super) refuted: usize,
+    /// Points where the wheels touch the ground that were looked at, and those behind a surface.
+    pub(super) contacts: usize,
+    pub(super) sunk: usize,
 }
 
 impl Contradiction {
     /// Share of the points that contradict.
     pub(super) fn share(&self) -> f64 {
         self.refuted as f64 / self.samples.max(1) as f64
+    }
+
+    /// Share of the wheels that a surface of the map cuts off from the sensor.
+    pub(super) fn sunk_share(&self) -> f64 {
+        self.sunk as f64 / self.contacts.max(1) as f64
     }
 }
 
@@ -58,10 +67,14 @@ impl Estimate {
         let world_from_scan = world_from_robot * scan.robot_from_scan;
         let eye = Point3::from(world_from_scan.translation.vector);
         let hulls = scan.observations.iter().flat_map(Observation::hull_points);
-        let around = hulls.map(|p| world_from_robot * p).chain([eye]);
+        let around = hulls.chain(scan.contacts.iter().copied());
+        let around = around.map(|p| world_from_robot * p).chain([eye]);
         let walls: Vec<Wall<'_>> =
             self.landmarks_about(around).filter_map(|l| Wall::facing(l, &eye, behind_m)).collect();
-        let mut found = Contradiction::default();
+        let contacts = scan.contacts.iter().map(|contact| world_from_robot * contact);
+        let sunk = contacts.filter(|p| walls.iter().any(|wall| wall.hides(p))).count();
+        let mut found =
+            Contradiction { contacts: scan.contacts.len(), sunk, ..Contradiction::default() };
         for observation in &scan.observations {
             let world_from_plane = world_from_robot * observation.robot_from_plane;
             let normal = world_from_plane.rotation * Vector3::z();
@@ -101,19 +114,30 @@ impl<'a> Wall<'a> {
     /// Whether a point of the world on a surface with that normal cannot have been seen.
     fn refutes(&self, point: &Point3<f64>, normal: &Vector3<f64>) -> bool {
         let target = self.plane_from_world * point;
+        let range = (target - self.eye).norm();
+        if target.z > self.margin_m(range) && target.z < DOUBLED_M {
+            let parallel = self.landmark.normal().dot(normal) > PARALLEL_COSINE;
+            return parallel && self.solid_at(&target);
+        }
+        self.hides(point)
+    }
+
+    /// Whether a point of the world lies behind the surface, seen from the eye.
+    fn hides(&self, point: &Point3<f64>) -> bool {
+        let target = self.plane_from_world * point;
         let ray = target - self.eye;
         let range = ray.norm();
-        let margin = self.behind_m + BEHIND_PER_M * range;
-        let solid =
-            |x: f64, y: f64| self.landmark.mask.solid_about(&Point2::new(x, y), SOLID_CELLS);
-        if target.z > margin && target.z < DOUBLED_M {
-            let parallel = self.landmark.normal().dot(normal) > PARALLEL_COSINE;
-            return parallel && solid(target.x, target.y);
-        }
-        if target.z > -margin || -ray.z < GRAZING_SINE * range {
+        if target.z > -self.margin_m(range) || -ray.z < GRAZING_SINE * range {
             return false;
         }
-        let at = self.eye + ray * (self.eye.z / -ray.z);
-        solid(at.x, at.y)
+        self.solid_at(&(self.eye + ray * (self.eye.z / -ray.z)))
+    }
+
+    fn margin_m(&self, range_m: f64) -> f64 {
+        self.behind_m + BEHIND_PER_M * range_m
+    }
+
+    fn solid_at(&self, point: &Point3<f64>) -> bool {
+        self.landmark.mask.solid_about(&point.xy(), SOLID_CELLS)
     }
 }

@@ -123,10 +123,7 @@ impl Agent {
             .last_line
             .filter(|_| !self.silent && !matches!(self.phase, Phase::Waiting))
             .map(|at| at + Span::from_seconds(self.config.mission.silence_s));
-        let end = self.began.and_then(|began| {
-            let limit_s = self.config.mission.time_limit_s;
-            (limit_s > 0.0).then(|| began + Span::from_seconds(limit_s))
-        });
+        let end = self.end_time();
         let inner = match &self.phase {
             Phase::Ended(..) => return None,
             Phase::Waiting => None,
@@ -314,13 +311,15 @@ impl Agent {
                 self.tally.quoted.join(" | ")
             )));
         }
+        let end = self.end_time();
         match &mut self.phase {
             Phase::Opening(opening) => {
                 let steps = opening.message(&parsed.message, self.dialect, now);
                 self.opening_steps(steps, now, out)
             }
             Phase::Running(running) => {
-                let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+                let mut desk =
+                    Desk { config: &self.config, journal: &mut self.journal, out, now, end };
                 match running.message(&parsed.message, &mut desk) {
                     Verdict::GoOn => None,
                     Verdict::Explored => Some(Outcome::Explored),
@@ -376,7 +375,8 @@ impl Agent {
             self.warn(now, format!("ground nearer than {nearest_m:.2} m ahead cannot be seen"));
         }
         self.lost = None;
-        let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+        let end = self.end_time();
+        let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now, end };
         desk.info(format!("in service: {} on {:?}", rig.class, rig.dialect));
         let running = match self.kept.take() {
             Some(mut running) => {
@@ -413,8 +413,9 @@ impl Agent {
         if *event == OperatorEvent::Quit {
             return Some(Outcome::Stopped("by the operator".into()));
         }
+        let end = self.end_time();
         if let Phase::Running(running) = &mut self.phase {
-            let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+            let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now, end };
             running.operator(event, &mut desk);
         }
         None
@@ -422,11 +423,13 @@ impl Agent {
 
     fn wake(&mut self, now: Arrival, out: &mut Vec<Command>) -> Option<Outcome> {
         let silence = Span::from_seconds(self.config.mission.silence_s);
+        let end = self.end_time();
         if !self.silent && self.last_line.is_some_and(|at| now - at >= silence) {
             self.silent = true;
             self.journal.note(now, Level::Warn, "the server is silent; wheels stopped");
             if let Phase::Running(running) = &mut self.phase {
-                let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+                let mut desk =
+                    Desk { config: &self.config, journal: &mut self.journal, out, now, end };
                 running.stop(&mut desk);
             }
         }
@@ -436,7 +439,8 @@ impl Agent {
                 self.opening_steps(steps, now, out)
             }
             Phase::Running(running) => {
-                let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now };
+                let mut desk =
+                    Desk { config: &self.config, journal: &mut self.journal, out, now, end };
                 running.wake(&mut desk);
                 None
             }
@@ -444,9 +448,15 @@ impl Agent {
         }
     }
 
-    fn time_is_up(&self, now: Arrival) -> bool {
+    /// When the mission's time is up.
+    fn end_time(&self) -> Option<Arrival> {
         let limit_s = self.config.mission.time_limit_s;
-        limit_s > 0.0 && self.began.is_some_and(|began| now - began >= Span::from_seconds(limit_s))
+        let began = self.began.filter(|_| limit_s > 0.0)?;
+        Some(began + Span::from_seconds(limit_s))
+    }
+
+    fn time_is_up(&self, now: Arrival) -> bool {
+        self.end_time().is_some_and(|end| now >= end)
     }
 
     /// Stops the wheels and ends the mission.
@@ -459,7 +469,13 @@ impl Agent {
                 if self.config.mission.observe {
                     let out = &mut Vec::new();
                     let (config, journal) = (&self.config, &mut self.journal);
-                    running.finish_observed_sweep(&mut Desk { config, journal, out, now });
+                    running.finish_observed_sweep(&mut Desk {
+                        config,
+                        journal,
+                        out,
+                        now,
+                        end: Some(now),
+                    });
                 }
                 running.refresh_grid(now);
                 if !self.config.mission.observe {

@@ -64,6 +64,9 @@ const RING_SHADE_M: f64 = 0.35;
 impl Running {
     /// One cycle of whatever is being done.
     pub(super) fn activity_cycle(&mut self, desk: &mut Desk<'_>) -> Verdict {
+        if self.close(desk) {
+            return Verdict::GoOn;
+        }
         match &mut self.activity {
             Activity::Settle { until, look } => {
                 if desk.now >= *until {
@@ -158,6 +161,10 @@ impl Running {
 
     /// Chooses where to look next and sets out, or says that nothing is left.
     fn choose(&mut self, desk: &mut Desk<'_>) -> Verdict {
+        if let Some(until) = desk.end.filter(|_| self.closed) {
+            self.activity = Activity::Rest { until };
+            return Verdict::GoOn;
+        }
         self.refresh_grid(desk.now);
         let costs = self.costs(desk);
         let pose = self.pose2();

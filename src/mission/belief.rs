@@ -300,6 +300,7 @@ impl Belief {
             observations: observations(segmentation, &grid, &image.robot_from_scan),
             robot_from_scan: image.robot_from_scan,
             errors,
+            contacts: self.live.shape().contacts(),
         };
         if let Some(attitude) = self.motion.last_attitude() {
             let sigma = self.config.attitude_sigma_rad;

@@ -7,6 +7,7 @@
 mod agent;
 mod autonomy;
 mod belief;
+mod closing;
 mod config;
 mod event;
 mod journal;

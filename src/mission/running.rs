@@ -37,6 +37,8 @@ pub(super) struct Desk<'a> {
     pub out: &'a mut Vec<Command>,
     /// The time.
     pub now: Arrival,
+    /// When the mission's time is up; `None` where it has no limit.
+    pub end: Option<Arrival>,
 }
 
 impl Desk<'_> {
@@ -134,6 +136,8 @@ pub struct Running {
     pub(super) observed: ObservedSweep,
     /// Length of the path when a nod was last thought of.
     pub(super) nod_asked_m: f64,
+    /// Whether the last look is under way or over.
+    pub(super) closed: bool,
 }
 
 /// How a cycle ended for the mission as a whole.
@@ -197,6 +201,7 @@ impl Running {
             wheel_count: WheelCount::default(),
             observed: ObservedSweep::default(),
             nod_asked_m: 0.0,
+            closed: false,
             acquisition,
             belief,
             shape,

@@ -1,3 +1,4 @@
+use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 /// What the robot's body can pass, cross and climb. Defaults: the paper's Pioneer 3AT with its laser
@@ -42,6 +43,15 @@ impl Default for RobotShape {
 }
 
 impl RobotShape {
+    /// About where the four wheels touch the ground, in the robot frame.
+    pub fn contacts(&self) -> Vec<Point3<f64>> {
+        let ahead_m = (0.5 * self.length_m - self.wheel_radius_m).max(0.0);
+        let aside_m = 0.4 * self.width_m;
+        [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]
+            .map(|(x, y)| Point3::new(x * ahead_m, y * aside_m, -self.base_above_floor_m))
+            .to_vec()
+    }
+
     /// Radius of the largest circle about `base_link` that lies within the hull, in metres.
     pub fn inscribed_radius_m(&self) -> f64 {
         0.5 * self.length_m.min(self.width_m)

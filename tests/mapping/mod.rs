@@ -1,4 +1,6 @@
 //! Localisation and mapping, from the outside.
 
 mod consistency;
+mod drive;
+mod situations;
 mod world;

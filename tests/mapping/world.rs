@@ -51,6 +51,9 @@ pub struct World {
 
 /// Height of the scanner above the robot's origin.
 pub const SENSOR_HEIGHT_M: f64 = 0.6;
+/// Where the wheels touch the ground: the robot frame lies on it.
+const WHEELS: [[f64; 3]; 4] =
+    [[0.13, 0.2, 0.0], [0.13, -0.2, 0.0], [-0.13, 0.2, 0.0], [-0.13, -0.2, 0.0]];
 const MAX_RANGE_M: f64 = 20.0;
 const RANGE_SIGMA_M: f64 = 0.01;
 
@@ -100,6 +103,12 @@ impl World {
         ));
     }
 
+    /// Whether two rectangles lie in one plane and face the same way: pieces of one surface.
+    pub fn coplanar(&self, a: usize, b: usize) -> bool {
+        let gap = self.rectangles[a].frame.inverse() * self.rectangles[b].frame;
+        (gap.rotation * Vector3::z()).z > 1.0 - 1e-12 && gap.translation.vector.z.abs() < 1e-6
+    }
+
     /// Whether a rectangle other than `skip` cuts the way from `origin` to `target`.
     fn blocked(&self, origin: &Point3<f64>, target: &Point3<f64>, skip: usize) -> bool {
         let ray = target - origin;
@@ -143,7 +152,15 @@ impl World {
                 truth.push(index);
             }
         }
-        (ScanObservations { observations, robot_from_scan, errors: ScanErrors::default() }, truth)
+        (
+            ScanObservations {
+                observations,
+                robot_from_scan,
+                errors: ScanErrors::default(),
+                contacts: WHEELS.map(Point3::from).to_vec(),
+            },
+            truth,
+        )
     }
 
     fn patch(

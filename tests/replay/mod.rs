@@ -17,7 +17,8 @@ use usar_agent::sim::Session;
 use usar_agent::time::Arrival;
 
 /// The box world without the long sweep at the start: the first goal comes within half a minute.
-fn scenario(seed: u64, until_s: f64) -> LoadedScenario {
+/// A mission of `until_s` seconds in the box world, without the full sweep at the start.
+pub fn scenario(seed: u64, until_s: f64) -> LoadedScenario {
     let mut loaded = load(Path::new("box"), &[]).unwrap();
     loaded.files.scenario.seed = seed;
     loaded.agent.mission.fine_sweep_at_start = false;
@@ -26,7 +27,7 @@ fn scenario(seed: u64, until_s: f64) -> LoadedScenario {
 }
 
 /// Runs a mission in lockstep; gives the agent and the recording's bytes.
-fn record(loaded: &LoadedScenario) -> (Agent, Vec<u8>) {
+pub fn record(loaded: &LoadedScenario) -> (Agent, Vec<u8>) {
     let files = &loaded.files;
     let session = Session::new(&files.world, &files.scenario, &files.catalogue).unwrap();
     let header = Header {

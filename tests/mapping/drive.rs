@@ -1,0 +1,94 @@
+//! A robot that is driven through a world of rectangles while a mapper listens.
+
+use super::world::{World, drawn6, rng};
+use nalgebra::{Isometry3, Vector3, Vector6};
+use rand_pcg::Pcg64;
+use std::collections::BTreeMap;
+use usar_agent::mapping::perturbation::{perturbed_pose, pose_error};
+use usar_agent::mapping::{
+    LandmarkId, Mapper, MapperConfig, Motion, OdometryNoise, TurnSource, UpdateReport,
+};
+
+/// A motion in the plane: metres ahead and to the left, then a turn in degrees.
+pub fn step(ahead: f64, left: f64, turn_deg: f64) -> Isometry3<f64> {
+    Isometry3::new(Vector3::new(ahead, left, 0.0), Vector3::z() * turn_deg.to_radians())
+}
+
+/// The robot, what it believes, and which rectangle each landmark is.
+pub struct Drive<'a> {
+    pub world: &'a World,
+    pub mapper: Mapper,
+    pub truth: Isometry3<f64>,
+    pub behind: BTreeMap<LandmarkId, usize>,
+    /// Accepted pairs that were of one plane, and that were not.
+    pub right: usize,
+    pub wrong: usize,
+    rng: Pcg64,
+}
+
+impl<'a> Drive<'a> {
+    /// A robot that stands at the origin of the mapper's world and has looked once.
+    pub fn begin(world: &'a World, config: MapperConfig, start: Isometry3<f64>, seed: u64) -> Self {
+        let mapper = Mapper::new(config, start);
+        let behind = BTreeMap::new();
+        let rng = rng(seed);
+        let mut drive = Self { world, mapper, truth: start, behind, right: 0, wrong: 0, rng };
+        drive.look();
+        drive
+    }
+
+    /// Looks from where the robot stands.
+    pub fn look(&mut self) -> UpdateReport {
+        self.look_at(|_| true)
+    }
+
+    /// Looks from where the robot stands, with a view that leaves out some of the rectangles.
+    pub fn look_at(&mut self, in_view: impl Fn(usize) -> bool) -> UpdateReport {
+        let (mut scan, mut planes) = self.world.observe(&self.truth, Some(&mut self.rng));
+        let mut kept = planes.iter().map(|&plane| in_view(plane));
+        scan.observations.retain(|_| kept.next() == Some(true));
+        planes.retain(|&plane| in_view(plane));
+        let report = self.mapper.observe(&scan);
+        for added in &report.added {
+            self.behind.insert(added.landmark, planes[added.observation]);
+        }
+        for pair in &report.associations {
+            // Another explanation may have become the best, with landmarks of its own.
+            let known = self.behind.entry(pair.landmark).or_insert(planes[pair.observation]);
+            if self.world.coplanar(*known, planes[pair.observation]) {
+                self.right += 1;
+            } else {
+                self.wrong += 1;
+            }
+        }
+        report
+    }
+
+    /// Moves as told by odometry but for `error`, a perturbation in the frame before; does not look.
+    pub fn slide(&mut self, told: &Isometry3<f64>, error: &Vector6<f64>) {
+        self.truth *= perturbed_pose(told, error);
+        self.mapper.predict(told, TurnSource::Wheels);
+    }
+
+    /// Moves with an error drawn from `noise`, then looks.
+    pub fn go(&mut self, told: &Isometry3<f64>, noise: &OdometryNoise) -> UpdateReport {
+        let mut motion = Motion::default();
+        motion.append(told, TurnSource::Wheels);
+        let error = drawn6(&mut self.rng, &noise.covariance(&motion));
+        self.slide(told, &error);
+        self.look()
+    }
+
+    /// Error of the pose: metres, radians.
+    pub fn error(&self) -> (f64, f64) {
+        let error = pose_error(&self.mapper.world_from_robot(), &self.truth);
+        (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm())
+    }
+
+    /// Squared error of the pose under its own covariance; 6 is expected.
+    pub fn nees(&self) -> f64 {
+        let error = pose_error(&self.mapper.world_from_robot(), &self.truth);
+        let covariance = self.mapper.covariance();
+        error.dot(&covariance.cholesky().expect("a covariance is positive").solve(&error))
+    }
+}
