@@ -32,6 +32,9 @@ pub struct SimArguments {
     /// none if that is taken]
     #[arg(long, value_name = "PORT")]
     monitor_port: Option<u16>,
+    /// Port of the truth server (UDK); 0 picks a free one [default: 3989, or none if that is taken]
+    #[arg(long, value_name = "PORT")]
+    truth_port: Option<u16>,
     /// How pictures are sent [default: good for ut2004, raw for udk]
     #[arg(long, value_enum)]
     image_type: Option<ImageTypeArgument>,
@@ -100,13 +103,16 @@ async fn listen_for_viewers(arguments: &SimArguments) -> Result<TcpListener, Ser
     }
 }
 
-/// The socket of the monitor interface, likewise; without its usual port there is none.
-async fn listen_for_monitors(arguments: &SimArguments) -> Result<Option<TcpListener>, ServerError> {
-    const USUAL: u16 = 7435;
-    let port = arguments.monitor_port.unwrap_or(USUAL);
-    match (arguments.monitor_port, listen(SocketAddr::new(arguments.bind, port)).await) {
+/// The socket of a service that few ask for, likewise; without its usual port there is none.
+async fn listen_for(
+    service: &str,
+    at: IpAddr,
+    asked: Option<u16>,
+    usual: u16,
+) -> Result<Option<TcpListener>, ServerError> {
+    match (asked, listen(SocketAddr::new(at, asked.unwrap_or(usual))).await) {
         (None, Err(error)) => {
-            tracing::warn!("{error}; no monitor interface");
+            tracing::warn!("{error}; no {service}");
             Ok(None)
         }
         (_, listener) => listener.map(Some),
@@ -159,19 +165,26 @@ pub fn run(arguments: &SimArguments) -> Result<ExitCode> {
     runtime.block_on(async {
         let listener = listen(SocketAddr::new(arguments.bind, arguments.port)).await?;
         let viewers = listen_for_viewers(arguments).await?;
-        let monitors = listen_for_monitors(arguments).await?;
+        let (bind, monitor_port) = (arguments.bind, arguments.monitor_port);
+        let mut services =
+            vec![("monitor", listen_for("monitor", bind, monitor_port, 7435).await?)];
+        if session.dialect() == Dialect::Udk {
+            services.push(("truth", listen_for("truth", bind, arguments.truth_port, 3989).await?));
+        }
         let (address, image_address) = (listener.local_addr()?, viewers.local_addr()?);
         let mut text = format!("listening on {address}\nimages on {image_address}\n");
-        if let Some(monitors) = &monitors {
-            text.push_str(&format!("monitor on {}\n", monitors.local_addr()?));
+        for (service, listener) in &services {
+            if let Some(listener) = listener {
+                text.push_str(&format!("{service} on {}\n", listener.local_addr()?));
+            }
         }
         write_stdout(&text)?;
         let usual = ImageType::usual(session.dialect());
         let image_type = arguments.image_type.map_or(usual, ImageType::from);
         let mut server =
             Server::new(session, listener, arguments.speed).with_images(viewers, image_type);
-        if let Some(monitors) = monitors {
-            server = server.with_monitor(monitors);
+        for listener in services.into_iter().filter_map(|(_, listener)| listener) {
+            server = server.with_monitor(listener);
         }
         server.run(super::interrupt::asked_to_stop()).await;
         Ok(ExitCode::SUCCESS)

@@ -140,14 +140,6 @@ const fn eight(octet: u8) -> u64 {
     u64::from_ne_bytes([octet; 8])
 }
 
-/// The lowest octet of `word` that is `octet`, counted from the lowest; 8 if there is none.
-#[inline]
-fn first(word: u64, octet: u8) -> usize {
-    let zeros = word ^ eight(octet);
-    let found = zeros.wrapping_sub(eight(1)) & !zeros & eight(0x80);
-    found.trailing_zeros() as usize / 8
-}
-
 /// Reads `digits.digits,` of at most seven octets before the comma; also returns their count.
 ///
 /// All ranges of a laser line have this form. Reading eight octets at once needs no branch on the
@@ -155,24 +147,30 @@ fn first(word: u64, octet: u8) -> usize {
 /// mispredicted branches cost more than the arithmetic.
 #[inline]
 fn short_decimal(head: [u8; 8]) -> Option<(f64, usize)> {
-    let word = u64::from_le_bytes(head);
-    let length = first(word, b',');
-    let point = first(word, b'.');
-    // At least one digit before the point, the point before the comma.
-    if length == 8 || point == 0 || point >= length {
+    let values = u64::from_le_bytes(head) ^ eight(b'0');
+    // The high bit of each octet that is no digit. A carry reaches only octets above one that is none
+    // itself and above `.`, so that the two lowest are right where they are a point and a comma.
+    let others = (values.wrapping_add(eight(0x76)) | values) & eight(0x80);
+    let after_first = others & others.wrapping_sub(1);
+    let point = others.trailing_zeros() / 8;
+    let comma = after_first.trailing_zeros() / 8;
+    if comma == 8
+        || point == 0
+        || (values >> (8 * point)) as u8 != b'.' ^ b'0'
+        || (values >> (8 * comma)) as u8 != b',' ^ b'0'
+    {
         return None;
     }
     let before_point = (1_u64 << (8 * point)) - 1;
-    let closed_up = (word & before_point) | ((word >> 8) & !before_point);
+    let closed_up = (values & before_point) | ((values >> 8) & !before_point);
     // Digits to the upper end, zeros below: eight digits with leading zeros, most significant first.
-    let digits = (closed_up ^ eight(b'0')) << (8 * (9 - length));
-    if (digits.wrapping_add(eight(0x76)) | digits) & eight(0x80) != 0 {
-        return None;
-    }
+    let digits = closed_up << (8 * (9 - comma));
     let pairs = (digits * 10 + (digits >> 8)) & 0x00ff_00ff_00ff_00ff;
     let fours = (pairs * 100 + (pairs >> 16)) & 0x0000_ffff_0000_ffff;
     let mantissa = (fours * 10_000 + (fours >> 32)) & 0xffff_ffff;
-    Some((mantissa as f64 / POWERS_OF_TEN[length - point - 1], length))
+    // Through `i64`, which the processor converts at once; a `u64` takes it two ways and a branch.
+    let power = POWERS_OF_TEN[(comma - point - 1) as usize & 7];
+    Some((mantissa as i64 as f64 / power, comma as usize))
 }
 
 /// Exactly `N` numbers separated by commas or blanks.

@@ -80,7 +80,7 @@ enum Event {
     Finished(ConnectionId),
     /// The connection broke.
     Broken(ConnectionId),
-    /// A line of the monitor port, and where its answer goes.
+    /// A line of the monitor port or the truth port, and where its answer goes.
     Monitor(Vec<u8>, oneshot::Sender<Option<Vec<u8>>>),
     /// A viewer wants to see the screen.
     Screen(oneshot::Sender<Screen>),
@@ -106,7 +106,7 @@ pub struct Server {
     events: mpsc::Sender<Event>,
     inbox: mpsc::Receiver<Event>,
     images: Option<(TcpListener, ImageType)>,
-    monitor: Option<TcpListener>,
+    monitors: Vec<TcpListener>,
     speed: f64,
     last_turn: Instant,
 }
@@ -122,7 +122,7 @@ impl Server {
             events,
             inbox,
             images: None,
-            monitor: None,
+            monitors: Vec::new(),
             speed,
             last_turn: Instant::now(),
         }
@@ -134,10 +134,12 @@ impl Server {
         Self { images: Some((listener, image_type)), ..self }
     }
 
-    /// The same server with a monitor port.
+    /// The same server with one more socket for those who ask where things are: the monitor port, the
+    /// truth port.
     #[must_use]
-    pub fn with_monitor(self, listener: TcpListener) -> Self {
-        Self { monitor: Some(listener), ..self }
+    pub fn with_monitor(mut self, listener: TcpListener) -> Self {
+        self.monitors.push(listener);
+        self
     }
 
     /// Serves until `stop` is done; then all connections close.
@@ -149,7 +151,7 @@ impl Server {
             let dialect = self.session.dialect();
             services.spawn(images::serve(listener, image_type, dialect, self.events.clone()));
         }
-        if let Some(listener) = self.monitor.take() {
+        for listener in self.monitors.drain(..) {
             services.spawn(monitor::serve(listener, self.events.clone()));
         }
         let mut turns = interval(TURN);

@@ -164,6 +164,8 @@ pub enum SensorKind {
     RangeImager,
     /// A camera; its pictures come from the image server.
     Camera,
+    /// The battery's case (UDK): it can be asked where it is and says nothing by itself.
+    Battery,
 }
 
 impl SensorKind {
@@ -184,6 +186,7 @@ impl SensorKind {
             Self::Tachometer => "Tachometer",
             Self::RangeImager => "RangeImager",
             Self::Camera => "Camera",
+            Self::Battery => "Battery",
         }
     }
 
@@ -204,6 +207,7 @@ impl SensorKind {
             Self::RangeImager => &["max_range_m", "width", "height", "fov_deg", "interval_s"],
             Self::Camera => &["fov_deg", "min_fov_deg", "max_fov_deg", "width", "height"],
             Self::Ins | Self::GroundTruth | Self::Tachometer => &["interval_s"],
+            Self::Battery => &[],
         }
     }
 }

@@ -56,6 +56,16 @@ pub(crate) fn full_turn_units(angle_rad: f64) -> f64 {
     full_turn(units_rad(angle_units(angle_rad)))
 }
 
+/// A pose as the engine keeps it: its angles are whole units. A robot that rests on level ground has
+/// none at all, however its wheels press into the floor.
+pub(crate) fn engine_pose(core: &Isometry3<f64>) -> Isometry3<f64> {
+    let exact = pose(core);
+    core_pose(&WirePose {
+        orientation: exact.orientation.map(|angle| units_rad(angle_units(angle))),
+        ..exact
+    })
+}
+
 /// An angle in [0, 2π).
 pub(crate) fn full_turn(angle_rad: f64) -> f64 {
     let wrapped = angle_rad.rem_euclid(TAU);
@@ -122,6 +132,19 @@ mod tests {
     fn angles_wrap_into_one_turn() {
         assert_eq!(full_turn(-1e-20), 0.0);
         assert!((full_turn(-0.01) - 6.273).abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_engine_keeps_whole_units_of_angle_and_exact_places() {
+        let unit = TAU / 65_536.0;
+        let tilted = |roll: f64, yaw: f64| {
+            let turned = UnitQuaternion::from_euler_angles(roll, 0.0, yaw);
+            Isometry3::from_parts(Vector3::new(1.0, 2.0, 3.0).into(), turned)
+        };
+        assert_eq!(engine_pose(&tilted(0.9 * unit, 0.0)), tilted(0.0, 0.0));
+        let kept = engine_pose(&tilted(0.0, 2.5 * unit));
+        assert!(kept.rotation.angle_to(&tilted(0.0, 2.0 * unit).rotation) < 1e-12);
+        assert_eq!(kept.translation.vector, Vector3::new(1.0, 2.0, 3.0));
     }
 
     #[test]

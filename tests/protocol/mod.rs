@@ -1,6 +1,7 @@
 //! The protocol from outside: the reference's own lines, a recording, properties, a fuzz corpus.
 
 mod corpus;
+mod numbers;
 mod properties;
 mod recording;
 mod strategies;

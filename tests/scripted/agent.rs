@@ -108,6 +108,39 @@ async fn a_server_without_a_status_line_has_no_robot() {
 }
 
 #[tokio::test]
+async fn unanswered_questions_time_out_one_by_one_and_the_class_table_steps_in() {
+    let mut config = config();
+    config.mission.time_limit_s = 5.5;
+    let waits = Span::from_seconds(config.opening.answer_timeout_s);
+    let run = run("agent_unanswered", config, nobody).await;
+    assert!(run.agent.running().is_some(), "{:?}", run.agent.outcome());
+    let warnings = run.agent.warnings().join("\n");
+    for question in
+        ["GETGEO Robot", "GETCONF Robot", "GETGEO RangeScanner", "GETCONF RangeScanner Scanner1"]
+    {
+        assert!(
+            warnings.contains(&format!("{question} was not answered: supposing")),
+            "{warnings}"
+        );
+    }
+    let asked: Vec<Arrival> = run
+        .recording
+        .entries
+        .iter()
+        .filter(|entry| {
+            let question =
+                |line: &[u8]| line.starts_with(b"GETGEO") || line.starts_with(b"GETCONF");
+            matches!(&entry.what, What::Sent(line) if question(line))
+        })
+        .map(|entry| entry.arrival)
+        .collect();
+    assert!(asked.len() >= 6, "{asked:?}");
+    // A server that answers one question at a time may still be at the one before.
+    assert!(asked.windows(2).all(|pair| pair[1] >= pair[0] + waits), "{asked:?}");
+    verified(&run.recording);
+}
+
+#[tokio::test]
 async fn broken_lines_are_counted_and_the_mission_goes_on() {
     let run = run("agent_broken_lines", config(), nobody).await;
     assert_eq!(run.agent.outcome(), Some(&Outcome::Time));

@@ -5,6 +5,7 @@ use super::{Client, Stand};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
+use std::time::Duration;
 use usar_agent::protocol::Dialect::{self, Udk, Ut2004};
 
 /// The text from `start` to the next `}`.
@@ -21,6 +22,11 @@ fn place(client: &mut Client) -> String {
         }
     };
     between(&line, "{Location ").unwrap().to_owned()
+}
+
+/// The same in metres.
+fn place_m(client: &mut Client) -> Vec<f64> {
+    place(client).split(',').map(|number| number.parse().unwrap()).collect()
 }
 
 /// A client of the ROS bridge's kind: everything in the first packet, then one question at a time,
@@ -116,8 +122,7 @@ fn a_start_pose_can_be_given_back_as_it_was_told() {
         let told = between(&poses, "PlayerStart ").unwrap();
         client
             .send(&format!("INIT {{ClassName USARBot.P2AT}} {{Location {told}}} {{Name R1}}\r\n"));
-        let place: Vec<f64> =
-            place(&mut client).split(',').map(|number| number.parse().unwrap()).collect();
+        let place = place_m(&mut client);
         assert!((place[0] - 4.5).abs() < 0.02 && (place[1] - 1.9).abs() < 0.02, "{place:?}");
     }
 }
@@ -140,4 +145,53 @@ fn a_closed_terminal_ends_a_run_well() {
     assert!(killed.unwrap().success(), "`kill` is of every POSIX system");
     assert_eq!(child.wait().unwrap().code(), Some(0), "after {line}");
     assert!(folder.path().join("report.json").exists());
+}
+
+#[test]
+fn init_is_served_however_clients_spell_it() {
+    for (dialect, class) in [(Ut2004, "P2AT"), (Udk, "P3AT")] {
+        let stand = Stand::of("yellow", dialect);
+        for form in [
+            "init {classname usarbot.CLASS} {name A} {location 4.5,1.9,1.8}\n",
+            "INIT{ClassName USARBot.CLASS}{Name B}{Location 4.5, 1.9, 1.8}{Rotation 0, 0, 0}\n\r",
+            "INIT {ClassName USARBot.CLASS} {Location 4.5 1.9 1.8} {Rotation 0 0 0} {Name C}\r\n",
+            "INIT {ClassName CLASS} {Location 4.50,1.90,1.80} {Team 255} {Battery 500}\r",
+            "GETSTARTPOSES\r\nINIT {Classname USARBot.CLASS} {Name E} {Start playerstart}\r\n",
+            "   INIT   {  ClassName   USARBot.CLASS  }   {Start PlayerStart}   {Name F} \r\n",
+        ] {
+            let mut client = stand.client();
+            client.send(&form.replace("CLASS", class));
+            let at = place_m(&mut client);
+            assert!((at[0] - 4.5).abs() < 0.02 && (at[1] - 1.9).abs() < 0.02, "{form}: {at:?}");
+        }
+    }
+}
+
+#[test]
+fn drive_is_served_however_clients_spell_it_and_cut_it() {
+    for (dialect, class) in [(Ut2004, "P2AT"), (Udk, "P3AT")] {
+        let stand = Stand::of("yellow", dialect);
+        let mut client = stand.client();
+        client.send(&format!("INIT {{ClassName USARBot.{class}}} {{Start PlayerStart}}\r\n"));
+        for packets in [
+            &["DRIVE{Left 1}{Right 1}\r\n"][..],
+            &["drive {left 1.0} {right 1.0} {normalized false}\n\r"],
+            &["DRIVE {Right 1.000000} {Left 1.000000} {Light false}\r\n"],
+            &["DRIVE {Left 1,00} {Right 1,00}\r\n"],
+            &["DRI", "VE {Left 1.", "0} {Right 1.0}\r", "\n"],
+            &["DRIVE {Left 0} {Right 0}\r\nWHATEVER\r\n\r\nDRIVE {Left 1} {Right 1}\r\n"],
+        ] {
+            client.send("DRIVE {Left 0.0} {Right 0.0}\r\n");
+            let mut still = place_m(&mut client);
+            for _ in 0..20 {
+                still = place_m(&mut client);
+            }
+            for packet in packets {
+                client.send(packet);
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            let moved = (0..60).any(|_| place_m(&mut client)[0] - still[0] > 0.04);
+            assert!(moved, "{dialect:?} {packets:?}");
+        }
+    }
 }

@@ -4,6 +4,7 @@ mod clients;
 mod opening;
 mod operator;
 mod pictures;
+mod reconnect;
 mod server;
 mod statistics;
 

@@ -132,3 +132,32 @@ fn the_monitor_port_tells_positions_and_obstacles() {
     robots.pop();
     while ask("GETPOS").contains("R2") {}
 }
+
+#[test]
+fn udk_tells_the_true_poses_to_who_asks_without_a_verb() {
+    let stand = Stand::of("yellow", Udk);
+    let mut robot = stand.client();
+    robot.send("INIT {ClassName USARBot.P3AT} {Name R1} {Location 4.5,1.9,1.8}\r\n");
+    robot.line_of("STA ");
+    let mut stream = TcpStream::connect(stand.monitor).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut reader = BufReader::new(stream.try_clone().unwrap());
+    let mut ask = |request: &str| {
+        stream.write_all(format!("{request}\r\n").as_bytes()).unwrap();
+        let mut lines: Vec<String> = Vec::new();
+        while lines.last().is_none_or(|line| line != "{End}\r\n") {
+            let mut line = String::new();
+            assert!(reader.read_line(&mut line).unwrap() > 0, "{lines:?}");
+            lines.push(line);
+        }
+        lines
+    };
+    for all in ["{}", "{class USARBot.P3AT}", "{Class p3at} {Name r1}"] {
+        let lines = ask(all);
+        assert_eq!(lines.len(), 2, "{all}");
+        assert!(lines[0].starts_with("{Name R1} {Class P3AT} {Time "), "{lines:?}");
+        assert!(lines[0].contains("} {Location 4.50,1.90,1.8"), "{lines:?}");
+        assert!(lines[0].contains("} {Rotation "), "{lines:?}");
+    }
+    assert_eq!(ask("{class USARPhysObj.partc} {name part_c_6}"), ["{End}\r\n"]);
+}

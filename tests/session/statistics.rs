@@ -38,6 +38,44 @@ struct Statistics {
     odometry_per_truth: f64,
 }
 
+/// Both side by side, a row for each thing that is compared.
+fn table(recording: &Statistics, stand_in: &Statistics) -> String {
+    let mut rows = vec![["".to_owned(), "recording".to_owned(), "stand-in".to_owned()]];
+    let mut row = |what: &str, of: &dyn Fn(&Statistics) -> String| {
+        rows.push([what.to_owned(), of(recording), of(stand_in)]);
+    };
+    for (index, which) in ["least", "middle", "greatest", "mean"].into_iter().enumerate() {
+        row(&format!("seconds between bursts, {which}"), &|of| {
+            format!("{:.3}", of.intervals_s[index])
+        });
+    }
+    row("bursts the scanner's time lags", &|of| format!("{:?}", of.scanner_lag));
+    row("noise of a straight wall, standard deviation", &|of| {
+        format!("{:.4} %", of.wall_noise[0] * 100.0)
+    });
+    row("noise of a straight wall, greatest", &|of| format!("{:.4} %", of.wall_noise[1] * 100.0));
+    row("odometry for one encoder count", &|of| format!("{:.3} mm", of.metres_per_count * 1e3));
+    row("least step of the odometry", &|of| format!("{:.2} mm", of.odometry_step_m * 1e3));
+    row("odometry for one metre of truth", &|of| format!("{:.4} m", of.odometry_per_truth));
+    row("greatest heading of a straight drive", &|of| format!("{:.4} rad", of.heading_rad));
+    let kinds = recording.bursts.union(&stand_in.bursts);
+    for (number, burst) in (1..).zip(kinds) {
+        let whether = |of: &Statistics| of.bursts.contains(burst).to_string();
+        row(&format!("burst {number}: {burst}"), &whether);
+    }
+    let numbers = [recording, stand_in].map(|of| of.decimals.iter().filter(|(_, n)| !n.is_empty()));
+    let keys: BTreeSet<&String> = numbers.into_iter().flatten().map(|(key, _)| key).collect();
+    for key in keys {
+        row(&format!("decimals of {key}"), &|of| match of.decimals.get(key) {
+            Some(counts) => counts.iter().map(usize::to_string).collect::<Vec<_>>().join(" or "),
+            None => "absent".to_owned(),
+        });
+    }
+    let width = |column: usize| rows.iter().map(|row| row[column].len()).max().unwrap_or_default();
+    let [what, one] = [0, 1].map(width);
+    rows.iter().map(|[a, b, c]| format!("{a:what$}  {b:one$}  {c}\n")).collect()
+}
+
 fn kind(line: &RawLine) -> String {
     match line.get("Type").filter(|_| line.is("SEN")) {
         Some(kind) => kind.to_owned(),
@@ -172,7 +210,7 @@ fn the_stand_in_tells_what_the_recording_tells_and_in_the_same_way() {
     let recorded: Vec<Vec<u8>> =
         Capture::read(&text).lines.into_iter().map(|line| line.octets).collect();
     let (real, ours) = (statistics(&recorded), statistics(&stand_in(31)));
-    println!("recording {real:#?}\nstand-in {ours:#?}");
+    println!("{}", table(&real, &ours));
     for (a, b) in real.intervals_s.into_iter().zip(ours.intervals_s) {
         assert!(
             (a - b).abs() < 0.012,

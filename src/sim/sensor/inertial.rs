@@ -128,7 +128,10 @@ impl WorldPose {
             },
             Dialect::Udk => WirePose {
                 location: truth.location.map(|value| wire::truncate(value, 3)),
-                orientation: truth.orientation.map(|value| wire::truncate(value, 3)),
+                // The raw rotator by its unit factor: a robot at rest prints plain zeros.
+                orientation: truth
+                    .orientation
+                    .map(|value| wire::truncate(wire::units_rad(wire::angle_units(value)), 3)),
             },
         };
         GroundTruth {

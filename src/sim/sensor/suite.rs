@@ -60,6 +60,7 @@ pub(crate) enum Device {
     Tachometer(Tachometer),
     Depth(DepthCamera),
     Camera(Camera),
+    Battery(Mounting),
 }
 
 impl Device {
@@ -79,6 +80,7 @@ impl Device {
             Self::Tachometer(it) => &it.mounting,
             Self::Depth(it) => &it.mounting,
             Self::Camera(it) => &it.mounting,
+            Self::Battery(mounting) => mounting,
         }
     }
 }
@@ -319,6 +321,7 @@ fn device(
         SensorKind::Tachometer => Device::Tachometer(Tachometer::new(spec, carrier)),
         SensorKind::RangeImager => Device::Depth(DepthCamera::new(spec, units)),
         SensorKind::Camera => Device::Camera(Camera::new(spec, units)),
+        SensorKind::Battery => Device::Battery(Mounting::new(spec, units)),
     }
 }
 
@@ -366,7 +369,7 @@ impl Item {
             }
             Device::Tachometer(tachometer) => Sen::Tachometer(tachometer.read(carrier, *stamp)),
             Device::Depth(depth) => Sen::RangeImager(depth.read(carrier, surroundings, *stamp)),
-            Device::Camera(_) | Device::Releaser(_) => return None,
+            Device::Camera(_) | Device::Releaser(_) | Device::Battery(_) => return None,
         };
         Some(Message::Sen(sen))
     }

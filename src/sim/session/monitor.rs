@@ -1,9 +1,10 @@
-//! What the wireless simulation asks for on the monitor port (protocol document 7.3): where the robots
-//! are, and how many obstacles lie between two places.
+//! What others than clients ask. The wireless simulation, on the monitor port (protocol document
+//! 7.3): where the robots are, and how many obstacles lie between two places. Tools, on UDK's truth
+//! port (7.6): the true poses, for lines without a verb.
 
 use super::Session;
 use super::robot::Robot;
-use crate::protocol::RawLine;
+use crate::protocol::{Dialect, RawLine};
 use crate::sim::wire;
 use nalgebra::Point3;
 use std::fmt::Write as _;
@@ -16,6 +17,8 @@ impl Session {
             self.positions()
         } else if request.is("GETOBS") {
             self.obstacle_count(&request)?
+        } else if request.verb.is_empty() && self.dialect() == Dialect::Udk {
+            self.true_poses(&request)
         } else {
             return None;
         };
@@ -34,6 +37,32 @@ impl Session {
             );
         }
         answer
+    }
+
+    /// A line for each robot of the class and the name that were asked for, and the line of the end.
+    fn true_poses(&self, request: &RawLine) -> String {
+        let wanted = |key: &str, own: &str| {
+            let asked = request.get(key).map(|asked| asked.rsplit('.').next().unwrap_or_default());
+            asked.is_none_or(|asked| asked.is_empty() || asked.eq_ignore_ascii_case(own))
+        };
+        let mut answer = String::new();
+        for robot in &self.robots {
+            let class = robot.class.short_name();
+            if !(wanted("class", class) && wanted("name", &robot.name)) {
+                continue;
+            }
+            let name = &robot.name;
+            let time = self.now.seconds();
+            let pose = wire::pose(&robot.vehicle.state().world_from_robot);
+            let [x, y, z] = pose.location.map(|value| wire::round(value, 2));
+            let [roll, pitch, yaw] = pose.orientation.map(|value| wire::round(value, 2));
+            let _ = write!(
+                answer,
+                "{{Name {name}}} {{Class {class}}} {{Time {time:.4}}} \
+                 {{Location {x:.2},{y:.2},{z:.2}}} {{Rotation {roll:.2},{pitch:.2},{yaw:.2}}}\r\n"
+            );
+        }
+        answer + "{End}"
     }
 
     /// By robots' names or by two points; -1 for a robot that is unknown.

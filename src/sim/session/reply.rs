@@ -126,10 +126,10 @@ fn mounting_geo(robot: &Robot, mounting: &Mounting) -> WireMounting {
         }
         Dialect::Udk => {
             let carrier = robot.carrier();
-            let base =
-                robot.vehicle.state().world_from_robot * carrier.robot_from_part(&mounting.mount);
-            let pose =
-                difference(&wire::pose(&carrier.world_from_sensor(mounting)), &wire::pose(&base));
+            let place = wire::engine_pose(&robot.vehicle.state().world_from_robot);
+            let base = place * carrier.robot_from_part(&mounting.mount);
+            let sensor = base * mounting.part_from_sensor;
+            let pose = difference(&wire::pose(&sensor), &wire::pose(&base));
             WirePose {
                 location: pose.location.map(|value| wire::round(value, 2)),
                 orientation: pose.orientation.map(|value| wire::round(value, 2)),
@@ -152,7 +152,7 @@ fn difference(a: &WirePose, b: &WirePose) -> WirePose {
 /// The second location is computed as the server does, from world positions turned back by the
 /// static frame alone: right only on level ground at zero angles, or straight above the pan joint.
 fn joint_frames(robot: &Robot, unit: &PanTilt) -> [WirePose; 2] {
-    let place = robot.vehicle.state().world_from_robot;
+    let place = wire::engine_pose(&robot.vehicle.state().world_from_robot);
     let pan = place * unit.robot_from_link(0);
     let tilt = place * unit.robot_from_link(1);
     // A roll by π turns wire axes into x forward, y left, z up: the core's.
@@ -227,7 +227,9 @@ pub(super) fn conf(robot: &Robot, query: &Query) -> Option<Message> {
         .filter(|item| item.kind.name().eq_ignore_ascii_case(type_name))
         .filter(|item| matches(query, &item.device.mounting().name))
         .collect();
-    let Some(kind) = items.first().map(|item| item.kind) else {
+    // A battery has a place and nothing else to tell.
+    let speaks = |kind: &SensorKind| *kind != SensorKind::Battery;
+    let Some(kind) = items.first().map(|item| item.kind).filter(speaks) else {
         return answer(udk, type_name, Vec::<ItemConf>::new(), query, Conf::Item);
     };
     let name = kind.name();

@@ -9,6 +9,7 @@ use crate::sim::pan_tilt::PanTilt;
 use crate::sim::physics::{Physics, RobotKey, STEP_S};
 use crate::sim::sensor::{Carrier, Device, Instant, Suite, TagMemory, Timer};
 use crate::sim::solid::Solid;
+use crate::sim::spec::Layout;
 use crate::sim::surroundings::{RobotBody, Surroundings};
 use crate::sim::truth::{CastTruth, Score, Truth};
 use crate::sim::vehicle::Vehicle;
@@ -194,7 +195,7 @@ impl Robot {
         match &command.form {
             DriveForm::Skid { left, right } => self.skid([*left, *right]),
             DriveForm::Joint { name, order, value, .. } if self.dialect == Dialect::Ut2004 => {
-                self.drive_wheel(name, order.unwrap_or_default(), value.unwrap_or(0.0));
+                self.order_wheel(name, order.unwrap_or_default(), value.unwrap_or(0.0));
             }
             _ => {}
         }
@@ -215,21 +216,31 @@ impl Robot {
         }
     }
 
-    /// One wheel joint by name moves its side: the wheels of a side turn alike.
-    fn drive_wheel(&mut self, name: &str, order: Order, value: f64) {
-        let side = match name {
-            _ if name.starts_with("Left") => 0,
-            _ if name.starts_with("Right") => 1,
-            _ => return,
+    /// One wheel joint by name moves its side: the wheels of a side turn alike. Says whether the robot
+    /// has that wheel and it takes that order.
+    pub(super) fn order_wheel(&mut self, name: &str, order: Order, value: f64) -> bool {
+        let wheels: &[&str] = match self.class.wheels.layout {
+            Layout::FourWheels => &["FWheel", "RWheel"],
+            Layout::TwoWheelsAndCaster => &["Wheel"],
         };
+        let of_side = |side: &str| {
+            let (start, wheel) = name.split_at_checked(side.len()).unwrap_or_default();
+            start.eq_ignore_ascii_case(side)
+                && wheels.iter().any(|own| own.eq_ignore_ascii_case(wheel))
+        };
+        let Some(side) = ["Left", "Right"].into_iter().position(of_side) else { return false };
         let spin = match order {
             Order::Velocity => value,
             Order::RelVelocity => self.spin_rps[side] + value,
             Order::Brake => 0.0,
-            _ => return,
+            _ => return false,
         };
-        let most = self.class.wheels.max_spin_rps;
-        self.spin_rps[side] = spin.clamp(-most, most);
+        if spin.is_finite() {
+            let most = self.class.wheels.max_spin_rps;
+            self.spin_rps[side] = spin.clamp(-most, most);
+            self.vehicle.drive(self.spin_rps);
+        }
+        true
     }
 
     /// Takes an order for one link, counted from 1, of the unit of that name.

@@ -177,9 +177,11 @@ fn joint(robot: &mut Robot, name: &str, opcode: &str, params: &str) -> bool {
         "reltorque" | "12" => Order::RelTorque,
         _ => return false,
     };
-    let Some((unit, link)) = crate::sim::scenario::link_of_mount(name) else { return false };
-    let known = robot.units.iter().any(|own| own.name.eq_ignore_ascii_case(unit));
     let value = params.split(',').next().map_or(0.0, number);
+    let Some((unit, link)) = crate::sim::scenario::link_of_mount(name) else {
+        return robot.order_wheel(name, order, value);
+    };
+    let known = robot.units.iter().any(|own| own.name.eq_ignore_ascii_case(unit));
     robot.order_link(unit, link as i64 + 1, order, value);
     known
 }
