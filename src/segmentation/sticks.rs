@@ -66,15 +66,15 @@ pub(super) struct Sticks {
     inverse: Vec<Block>,
     /// One over the noise of the inverse range at each cell.
     sharpness: Vec<Block>,
-    /// Least cost of each lane up to each step, from "nothing yet" on.
+    /// Least cost of each lane up to each step, from "nothing yet" on, with the price of a stick more.
     cost: Vec<Block>,
     /// Length of the stick that ends at each cell, if one does.
     length: Vec<[u8; BLOCK]>,
     tables: Vec<Table>,
 }
 
-/// What depends on the positions of a stick's steps alone, for sticks of one length; the same for all
-/// lanes.
+/// What depends on the positions of a stick's steps alone, for sticks of one length from two cells on;
+/// the same for all lanes.
 #[derive(Clone, Copy, Debug, Default)]
 struct Table {
     /// Position of the farthest step before the last one.
@@ -84,7 +84,6 @@ struct Table {
     /// One over the scatter of the positions, and its square.
     inverse_scatter: Block,
     square: Block,
-    price: Block,
     /// The length, as [`LENGTH_BITS`] hold it.
     length: Block,
 }
@@ -94,7 +93,7 @@ impl Sticks {
     pub fn cut(&mut self, field: &Field) {
         self.load(field);
         self.cost.clear();
-        self.cost.resize((field.steps + 1) * self.blocks, Block::ZERO);
+        self.cost.resize((field.steps + 1) * self.blocks, Block::splat(PRICE));
         self.length.resize(field.steps * self.blocks, [1; BLOCK]);
         for step in 0..field.steps {
             self.make_tables(field, step);
@@ -131,20 +130,19 @@ impl Sticks {
     fn make_tables(&mut self, field: &Field, step: usize) {
         self.tables.clear();
         let (mut sum, mut squares) = (0.0, 0.0);
-        for k in 0..LONGEST.min(step + 1) {
+        for k in 1..LONGEST.min(step + 1) {
             let back = field.positions[step] - field.positions[step - k];
             sum += back;
             squares += back * back;
             let length = (k + 1) as f32;
             let scatter: f32 = squares - sum * sum / length;
-            let inverse_scatter = if k > 0 { 1.0 / scatter.max(1e-14) } else { 0.0 };
+            let inverse_scatter = 1.0 / scatter.max(1e-14);
             self.tables.push(Table {
                 back: Block::splat(back),
                 mean: Block::splat(sum / length),
                 inverse_length: Block::splat(1.0 / length),
                 inverse_scatter: Block::splat(inverse_scatter),
                 square: Block::splat(inverse_scatter * inverse_scatter),
-                price: Block::splat(if k == 0 { PRICE - NO_SLOPE } else { PRICE }),
                 length: Block::splat(f32::from_bits(k as u32)),
             });
         }
@@ -157,28 +155,32 @@ impl Sticks {
         // Relative to the scatter of the positions, what the prior of the slope is worth.
         let slope = sharpness * inverse * Block::splat(SLOPE);
         let doubt = Block::ONE / (slope * slope).fast_max(Block::splat(1e-6));
+        let weight = sharpness * sharpness;
         let kept = Block::splat(f32::from_bits(!LENGTH_BITS));
-        let mut best = Block::splat(f32::INFINITY);
+        let before = self.cost[here];
+        // A stick of one cell has no error; its length is one, whose bits are none.
+        let mut best = (before - Block::splat(NO_SLOPE)) & kept;
         let (mut a, mut b, mut c) = (Block::ZERO, Block::ZERO, Block::ZERO);
-        for (k, table) in self.tables.iter().enumerate() {
-            // The cost up to the step before stands one row up in `cost`, at the same index.
-            let at = here - k * self.blocks;
-            let d = (self.inverse[at] - inverse) * sharpness;
+        // The cost up to the step before a cell stands one row up in `cost`, at the same index.
+        let past = self.inverse[..here].iter().rev().skip(self.blocks - 1).step_by(self.blocks);
+        let costs = self.cost[..here].iter().rev().skip(self.blocks - 1).step_by(self.blocks);
+        for ((table, &other), &cost) in self.tables.iter().zip(past).zip(costs) {
+            let d = other - inverse;
             a += d;
             b += table.back * d;
             c += d * d;
             let slope = b - table.mean * a;
             let told = (table.inverse_scatter - doubt * table.square).fast_max(Block::ZERO);
             let error = c - a * a * table.inverse_length - slope * slope * told;
-            let cost = self.cost[at] + (error + table.price);
-            best = best.fast_min((cost & kept) | table.length);
+            best = best.fast_min(((cost + weight * error) & kept) | table.length);
         }
-        let (best, before) = (best.to_array(), self.cost[here].to_array());
+        let (best, before) = (best.to_array(), before.to_array());
+        let valid = sharpness.to_array();
         let mut cost = [0.0; BLOCK];
         for i in 0..BLOCK {
             // A cell without a return is a stick of its own, at no price.
-            let valid = sharpness.to_array()[i] > 0.0;
-            cost[i] = if valid { best[i] } else { before[i] };
+            let valid = valid[i] > 0.0;
+            cost[i] = if valid { best[i] + PRICE } else { before[i] };
             let length = (best[i].to_bits() & LENGTH_BITS) as u8 + 1;
             self.length[here][i] = if valid { length } else { 1 };
         }

@@ -21,7 +21,7 @@ impl CylinderFit {
     }
 }
 
-/// Fits a cylinder from the best of the candidate axes; `None` where none leads anywhere.
+/// Fits a cylinder by errors across it from the best of the candidate axes; `None` where none leads anywhere.
 pub(in super::super) fn fit_cylinder(
     readings: &Readings,
     axes: &[Vector3<f64>],
@@ -31,7 +31,18 @@ pub(in super::super) fn fit_cylinder(
         .iter()
         .filter_map(|axis| circle_across(readings, &centroid, axis))
         .min_by(|a, b| a.mean_square.total_cmp(&b.mean_square))?;
-    refine(readings, &centroid, start)
+    refine(readings, &centroid, start, Phase::Start, ROUNDS)
+}
+
+/// Settles a cylinder that is nearly right by errors along the rays.
+pub(super) fn settle_cylinder(
+    readings: &Readings,
+    (foot, axis, radius_m): (Vector3<f64>, Vector3<f64>, f64),
+) -> Option<CylinderFit> {
+    let centroid = readings.centroid();
+    let foot = foot + axis * axis.dot(&(centroid - foot));
+    let start = Start { axis, foot, radius_m, mean_square: 0.0 };
+    refine(readings, &centroid, start, Phase::Rays, RAY_ROUNDS)
 }
 
 struct Start {
@@ -100,12 +111,17 @@ fn hit(
     Some((range, n, lengthwise * range - axis.dot(foot)))
 }
 
-fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<CylinderFit> {
+fn refine(
+    readings: &Readings,
+    centroid: &Vector3<f64>,
+    start: Start,
+    mut phase: Phase,
+    rounds: usize,
+) -> Option<CylinderFit> {
     let Start { mut axis, mut foot, mut radius_m, .. } = start;
     let mut fit = None;
-    let mut phase = Phase::Start;
-    for round in 0..ROUNDS + RAY_ROUNDS {
-        phase = Phase::of(round, ROUNDS, phase);
+    for round in 0..rounds {
+        phase = Phase::of(round, rounds, phase);
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
         let mut normal = Matrix5::<f64>::zeros();

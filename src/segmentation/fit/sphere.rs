@@ -18,14 +18,27 @@ impl SphereFit {
     }
 }
 
-/// Fits a sphere; `None` where the readings lie in a plane or the iteration leaves the region.
+/// Fits a sphere by errors across it; `None` where the readings lie in a plane or the iteration
+/// leaves the region.
 pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
-    let centroid = readings.centroid();
-    let (mut centre, mut radius_m) = algebraic(readings, &centroid)?;
+    let start = algebraic(readings, &readings.centroid())?;
+    refine(readings, start, Phase::Start, ROUNDS)
+}
+
+/// Settles a sphere that is nearly right by errors along the rays.
+pub(super) fn settle_sphere(readings: &Readings, start: (Vector3<f64>, f64)) -> Option<SphereFit> {
+    refine(readings, start, Phase::Rays, RAY_ROUNDS)
+}
+
+fn refine(
+    readings: &Readings,
+    (mut centre, mut radius_m): (Vector3<f64>, f64),
+    mut phase: Phase,
+    rounds: usize,
+) -> Option<SphereFit> {
     let mut fit = None;
-    let mut phase = Phase::Start;
-    for round in 0..ROUNDS + RAY_ROUNDS {
-        phase = Phase::of(round, ROUNDS, phase);
+    for round in 0..rounds {
+        phase = Phase::of(round, rounds, phase);
         let mut normal = Matrix4::<f64>::zeros();
         let mut right = Vector4::<f64>::zeros();
         let (mut square, mut count) = (0.0, 0.0);
