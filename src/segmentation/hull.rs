@@ -96,23 +96,25 @@ impl HullFinder {
         let mut outer = std::mem::take(&mut self.outer);
         outer.clear();
         for run in runs {
-            let chunks = [x, y, z].map(|values| values[run.clone()].as_chunks::<4>());
-            let [x, y, z] = chunks.map(|chunks| chunks.0);
-            for (k, ((x, y), z)) in x.iter().zip(y).zip(z).enumerate() {
-                let [x, y, z] = [x, y, z].map(|&values| f32x4::new(values));
+            if run.len() < 4 {
+                outer.extend(run.map(flat));
+                continue;
+            }
+            // The last four may be some that were looked at already, which changes no hull.
+            let last = run.end - 4;
+            for first in run.step_by(4).map(|first| first.min(last)) {
+                let [x, y, z] = [x, y, z].map(|values| f32x4::from(&values[first..first + 4]));
                 let at = places.map(|(e, o)| {
                     x * f32x4::splat(e.x) + y * f32x4::splat(e.y) + z * f32x4::splat(e.z)
                         - f32x4::splat(o)
                 });
                 let outside = inner.outside(at);
                 if outside != 0 {
-                    let first = run.start + 4 * k;
                     outer.extend(
                         (0..4).filter(|i| outside & (1 << i) != 0).map(|i| flat(first + i)),
                     );
                 }
             }
-            outer.extend((run.end - chunks[0].1.len()..run.end).map(flat));
         }
         self.find(&outer, hull);
         self.outer = outer;

@@ -61,8 +61,10 @@ pub(super) struct Sticks {
     pub sticks: Vec<Stick>,
     /// Stick of each cell.
     pub of_cell: Vec<u32>,
-    /// Blocks of each step; the last is filled up with cells without a return.
+    /// Blocks of lanes; the last is filled up with cells without a return. All that is kept of them
+    /// stands block after block, each from its first step on.
     blocks: usize,
+    steps: usize,
     inverse: Vec<Block>,
     /// One over the noise of the inverse range at each cell.
     sharpness: Vec<Block>,
@@ -107,22 +109,23 @@ impl Sticks {
     /// Copies what the cut needs into blocks.
     fn load(&mut self, field: &Field) {
         self.blocks = field.lanes.div_ceil(BLOCK);
+        self.steps = field.steps;
         // Readings that err alike break a line no more than one of them does.
         let trust = (1.0 / field.errors.run).sqrt() as f32;
-        self.inverse.clear();
-        self.sharpness.clear();
+        let cells = self.blocks * field.steps;
+        self.inverse.resize(cells, Block::ZERO);
+        self.sharpness.resize(cells, Block::ZERO);
         for step in 0..field.steps {
             let row = step * field.lanes..(step + 1) * field.lanes;
             let (inverse, ranges) = (&field.inverse[row.clone()], &field.range[row.clone()]);
             let cells = inverse.chunks(BLOCK).zip(ranges.chunks(BLOCK));
-            for ((inverse, ranges), gains) in cells.zip(field.gain[row].chunks(BLOCK)) {
-                let (mut block, mut sharpness) = ([0.0; BLOCK], [0.0; BLOCK]);
-                for i in 0..inverse.len() {
-                    block[i] = inverse[i];
-                    sharpness[i] = gains[i] * ranges[i] * trust;
-                }
-                self.inverse.push(Block::new(block));
-                self.sharpness.push(Block::new(sharpness));
+            let blocks = (step..).step_by(field.steps);
+            for (((inverse, ranges), gains), at) in
+                cells.zip(field.gain[row].chunks(BLOCK)).zip(blocks)
+            {
+                let [inverse, ranges, gains] = [inverse, ranges, gains].map(four);
+                self.inverse[at] = inverse;
+                self.sharpness[at] = gains * ranges * Block::splat(trust);
             }
         }
     }
@@ -150,21 +153,23 @@ impl Sticks {
 
     /// The best stick that ends at `step`, for the lanes of a block.
     fn extend(&mut self, step: usize, block: usize) {
-        let here = step * self.blocks + block;
+        let here = block * self.steps + step;
         let (inverse, sharpness) = (self.inverse[here], self.sharpness[here]);
         // Relative to the scatter of the positions, what the prior of the slope is worth.
         let slope = sharpness * inverse * Block::splat(SLOPE);
         let doubt = Block::ONE / (slope * slope).fast_max(Block::splat(1e-6));
         let weight = sharpness * sharpness;
         let kept = Block::splat(f32::from_bits(!LENGTH_BITS));
-        let before = self.cost[here];
+        // Each block has a cost more than it has steps.
+        let before = self.cost[here + block];
         // A stick of one cell has no error; its length is one, whose bits are none.
         let mut best = (before - Block::splat(NO_SLOPE)) & kept;
         let (mut a, mut b, mut c) = (Block::ZERO, Block::ZERO, Block::ZERO);
-        // The cost up to the step before a cell stands one row up in `cost`, at the same index.
-        let past = self.inverse[..here].iter().rev().skip(self.blocks - 1).step_by(self.blocks);
-        let costs = self.cost[..here].iter().rev().skip(self.blocks - 1).step_by(self.blocks);
-        for ((table, &other), &cost) in self.tables.iter().zip(past).zip(costs) {
+        let past = &self.inverse[here - self.tables.len()..here];
+        let costs = &self.cost[here + block - self.tables.len()..here + block];
+        for ((table, &other), &cost) in
+            self.tables.iter().zip(past.iter().rev()).zip(costs.iter().rev())
+        {
             let d = other - inverse;
             a += d;
             b += table.back * d;
@@ -184,7 +189,7 @@ impl Sticks {
             let length = (best[i].to_bits() & LENGTH_BITS) as u8 + 1;
             self.length[here][i] = if valid { length } else { 1 };
         }
-        self.cost[here + self.blocks] = Block::new(cost);
+        self.cost[here + block + 1] = Block::new(cost);
     }
 
     /// Walks every lane back from its end and lists its sticks.
@@ -199,7 +204,7 @@ impl Sticks {
             let mut end = steps;
             while end > 0 {
                 let last = end - 1;
-                let first = end - usize::from(self.length[last * self.blocks + block][place]);
+                let first = end - usize::from(self.length[block * steps + last][place]);
                 if field.is_valid(last * lanes + lane) {
                     self.sticks.push(measure(field, lane, first, last));
                 }
@@ -212,6 +217,15 @@ impl Sticks {
                 }
             }
         }
+    }
+}
+
+/// Up to four values, filled up with zeros.
+#[inline]
+fn four(values: &[f32]) -> Block {
+    match values.first_chunk::<BLOCK>() {
+        Some(&values) => Block::new(values),
+        None => Block::new(std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))),
     }
 }
 
@@ -263,7 +277,12 @@ fn ray_at(field: &Field, lane: usize, first: usize, last: usize, position: f64) 
         let cell = step * field.lanes + lane;
         field.point(cell).map(|v| v * f64::from(field.inverse[cell]))
     };
-    let mut step = first;
+    // Steps are about evenly spaced: the search is short from there.
+    let away = (position - f64::from(field.positions[first])) / f64::from(field.along_rad);
+    let mut step = (first + away.max(0.0) as usize).min(last.saturating_sub(1)).max(first);
+    while step > first && f64::from(field.positions[step]) >= position {
+        step -= 1;
+    }
     while step + 1 < last && f64::from(field.positions[step + 1]) < position {
         step += 1;
     }

@@ -67,17 +67,24 @@ impl Phase {
         if self == Self::Start { 1.0 } else { GATED_VARIANCE }
     }
 
-    /// Step through the readings: all of them count once there is a gate.
-    fn stride(self, readings: &Readings) -> usize {
-        if self == Self::Start { readings.len().div_ceil(START_READINGS).max(1) } else { 1 }
+    /// Step through the readings in a round. Along the rays some of them lead the way at first, too.
+    fn stride(self, round: usize, readings: &Readings) -> usize {
+        match self {
+            Self::Gated => 1,
+            Self::Rays if round >= THIN_RAY_ROUNDS => 1,
+            Self::Start | Self::Rays => readings.len().div_ceil(START_READINGS).max(1),
+        }
     }
 }
 
 /// Errors beyond this many standard deviations cost no more: the cost is that of an outlier.
 const CAP: f64 = 5.0;
 
-/// Rounds along the rays, at most.
-const RAY_ROUNDS: usize = 3;
+/// Rounds along the rays, at most, and how many of them some readings are enough for.
+const RAY_ROUNDS: usize = 4;
+const THIN_RAY_ROUNDS: usize = 2;
+/// Square of a step, in its standard deviations, after which there is no other.
+const CONVERGED: f64 = 1e-4;
 
 /// The readings of one region, gathered so that fits run over plain arrays.
 #[derive(Clone, Debug, Default)]
