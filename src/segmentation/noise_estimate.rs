@@ -281,6 +281,9 @@ impl NoiseEstimator {
         let stride = (field.len() / SAMPLES).max(1);
         let apart = down * lanes + right;
         let last = lanes.saturating_sub(3 * right);
+        if last == 0 {
+            return;
+        }
         for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
             let cells = step * lanes..step * lanes + last;
             let row = |k: usize| &field.inverse[cells.start + k * apart..cells.end + k * apart];
