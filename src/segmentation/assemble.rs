@@ -7,19 +7,17 @@ use super::components::{Components, NONE};
 use super::config::SegmentationConfig;
 use super::field::Field;
 use super::fit::{
-    CAP, Candidates, Fitted, Model, PlaneFit, PlaneStart, PlaneSums, Readings, choose, is_flat,
+    Columns, Fitted, Model, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR, centroid_of,
+    choose, fit_plane, is_flat, plane_of, settle,
 };
 use super::hull::HullFinder;
+use super::moments::Moments;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 use nalgebra::{Point2, Point3, Vector3};
 use std::fmt::Write as _;
-use std::ops::Range;
 
 /// Rejected regions smaller than this share one line: a scan has hundreds of them.
 const REPORTED_POINTS: usize = 10;
-
-/// The square at which an error is cut.
-const CAP_SQUARE: f32 = (CAP * CAP) as f32;
 
 /// Room for any reason, so that a string can take another one without a new allocation.
 const REASON_BYTES: usize = 64;
@@ -30,31 +28,43 @@ const HULL_VERTICES: usize = 64;
 /// About how many cells of a region tell which shape it has.
 const TRIAL_CELLS: usize = 250;
 
+/// Fewest core readings, and their least share, for which the border readings can be spared.
+const FEWEST_CORE: usize = 12;
+const LEAST_CORE_SHARE: f64 = 0.3;
+
 /// Buffers that make results without new allocations.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assembler {
     components: Components,
     borders: Borders,
     border: Vec<u32>,
-    /// Whether each cell is far from the border of its region to another.
-    core: Vec<bool>,
+    /// Cells at a border, one count for each component.
+    border_cells: Vec<usize>,
+    /// Gains of the cells, zero at borders of regions that can spare them.
+    fit_gain: Vec<f32>,
     readings: Readings,
-    fitted: Vec<(usize, Fitted, PlaneSums)>,
+    fitted: Vec<FittedRegion>,
     order: Vec<(usize, usize)>,
-    ids: Vec<u16>,
     hull: HullFinder,
-    flat: Vec<[f64; 2]>,
     spare_hulls: Vec<Vec<Point2<f64>>>,
     spare_reasons: Vec<String>,
 }
 
+/// What the result says of a component.
+#[derive(Clone, Debug)]
+struct FittedRegion {
+    component: usize,
+    shape: Fitted,
+    centroid: Vector3<f64>,
+}
+
 impl Assembler {
-    /// Turns `labels` (field order, 0 for none) into `result`.
+    /// Turns `labels` (field order, 0 for none) into `result`; `moments` stand at their label.
     pub fn assemble(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
-        labels: &[u32],
+        (labels, moments): (&[u32], &[Moments]),
         (rows, columns): (usize, usize),
         result: &mut Segmentation,
         observe: &mut dyn FnMut(Stage),
@@ -63,7 +73,7 @@ impl Assembler {
         (result.rows, result.columns) = (rows, columns);
         self.components.find(labels, field.lanes);
         self.number_regions(field, config, result);
-        self.fit_regions(field, config);
+        self.fit_regions(field, config, labels, moments);
         observe(Stage::Fit);
         self.write_surfaces(field, result);
         self.write_labels(field, result);
@@ -90,23 +100,21 @@ impl Assembler {
         self.order.clear();
         let (mut labelled, mut specks, mut speck_points) = (0, 0, 0);
         for component in 0..self.components.len() {
-            let cells = self.components.cells(component);
-            let first = if field.transposed {
-                cells.iter().map(|&cell| field.grid_index(cell as usize)).min()
-            } else {
-                cells.first().map(|&cell| cell as usize)
-            };
-            let first = first.expect("a component has at least the cell it was started from");
-            labelled += cells.len();
-            if cells.len() >= config.min_points.max(3) {
+            let points = self.components.sizes[component];
+            let firsts = self.components.runs(component).map(|run| field.grid_index(run.start));
+            // The runs are in order unless the grid is turned.
+            let first = if field.transposed { firsts.min() } else { firsts.clone().next() };
+            let first = first.expect("a component has at least the run it was started from");
+            labelled += points;
+            if points >= config.min_points.max(3) {
                 self.order.push((first, component));
-            } else if cells.len() >= REPORTED_POINTS {
-                let (points, least) = (cells.len(), config.min_points.max(3));
+            } else if points >= REPORTED_POINTS {
+                let least = config.min_points.max(3);
                 let reason = format_args!("{points} points, fewer than {least}");
                 reject(&mut self.spare_reasons, result, points, reason);
             } else {
                 specks += 1;
-                speck_points += cells.len();
+                speck_points += points;
             }
         }
         if specks > 0 {
@@ -122,7 +130,7 @@ impl Assembler {
         self.order.sort_unstable();
         if self.order.len() > usize::from(u16::MAX) {
             for &(_, component) in &self.order[usize::from(u16::MAX)..] {
-                let points = self.components.cells(component).len();
+                let points = self.components.sizes[component];
                 let reason = format_args!("more regions than 16-bit labels");
                 reject(&mut self.spare_reasons, result, points, reason);
             }
@@ -130,66 +138,105 @@ impl Assembler {
         }
     }
 
-    fn fit_regions(&mut self, field: &Field, config: &SegmentationConfig) {
-        self.find_core(field);
+    fn fit_regions(
+        &mut self,
+        field: &Field,
+        config: &SegmentationConfig,
+        labels: &[u32],
+        moments: &[Moments],
+    ) {
+        self.leave_borders_out(field);
         self.fitted.clear();
         for k in 0..self.order.len() {
             let (_, component) = self.order[k];
-            let (sums, plane) = self.fit_plane(field, component, config);
-            let fitted = match plane {
-                Some((plane, true)) => Fitted::Plane(plane),
-                Some((plane, false)) => {
-                    self.choose_shape(field, component, config).unwrap_or(Fitted::Plane(plane))
-                }
-                None => Fitted::Other,
-            };
-            self.fitted.push((component, fitted, sums));
+            let label = labels[self.middle(component)];
+            let q = moments[label as usize].solve();
+            let (shape, centroid) = self.fit_region(field, component, config, q);
+            self.fitted.push(FittedRegion { component, shape, centroid });
         }
     }
 
-    /// Marks the cells that have no valid neighbour of another component.
-    fn find_core(&mut self, field: &Field) {
-        let of_cell = &self.components.of_cell;
-        self.borders.find(of_cell, field.lanes, &mut self.border);
-        self.core.clear();
-        self.core.resize(field.len(), true);
-        for &cell in &self.border {
-            self.core[cell as usize] = self.components.is_core(cell as usize, field);
-        }
+    /// A cell in the middle of a component.
+    fn middle(&self, component: usize) -> usize {
+        let count = self.components.runs(component).count();
+        let run = self.components.runs(component).nth(count / 2);
+        run.map_or(0, |run| usize::midpoint(run.start, run.end))
     }
 
-    /// The plane of a component, if it has one, and whether it explains the readings.
-    fn fit_plane(
-        &self,
+    /// The shape and the centroid of a component whose plane is about `q · p = 1`.
+    fn fit_region(
+        &mut self,
         field: &Field,
         component: usize,
         config: &SegmentationConfig,
-    ) -> (PlaneSums, Option<(PlaneFit, bool)>) {
-        let cells = self.components.cells(component);
-        let mut sums = PlaneSums::default();
-        for run in runs(cells) {
-            let (x, y, z) = (&field.x[run.clone()], &field.y[run.clone()], &field.z[run.clone()]);
-            sums.add_run([x, y, z], &field.gain[run.clone()], &self.core[run]);
+        q: [f64; 3],
+    ) -> (Fitted, Vector3<f64>) {
+        let cells = self.components.sizes[component];
+        let sums = self.sum_up(field, component, q);
+        let error = sums.totals[SUMMED_ERROR];
+        if let Some(plane) = plane_of(&sums)
+            && is_flat(error, cells, &plane, &config.limits, &field.errors)
+        {
+            return (Fitted::Plane(plane), centroid_of(&sums));
         }
-        let Some(mut start) = PlaneStart::of(&sums) else { return (sums, None) };
-        let mut error = 0.0;
-        for run in runs(cells) {
-            let (x, y, z) = (&field.x[run.clone()], &field.y[run.clone()], &field.z[run.clone()]);
-            let (ranges, gains) = (&field.range[run.clone()], &field.gain[run.clone()]);
-            let points = x.iter().zip(y).zip(z).zip(ranges).zip(gains).zip(&self.core[run]);
-            for (((((&x, &y), &z), &range), &gain), &core) in points {
-                let e = start.settle([x, y, z], range, gain, core);
-                error += f64::from((e * e).min(CAP_SQUARE));
+        match self.choose_shape(field, component, config) {
+            Fitted::Plane(plane) => {
+                // The readings' own plane is the better start.
+                let (normal, offset_m) = plane.equation();
+                let sums = self.sum_up(field, component, (normal / offset_m).into());
+                (plane_of(&sums).map_or(Fitted::Other, Fitted::Plane), centroid_of(&sums))
             }
+            shape => (shape, centroid_of(&sums)),
         }
-        let plane = start.finish().map(|plane| {
-            let flat = is_flat(error, cells.len(), &plane, &config.limits, &field.errors);
-            (plane, flat)
-        });
-        (sums, plane)
     }
 
-    /// The shape of a component that a plane does not explain; `None` if a plane is still best.
+    /// Takes the gains of the cells at borders to other regions away: which region they belong to
+    /// was decided by their error, so they would bias a fit. Small regions keep theirs.
+    fn leave_borders_out(&mut self, field: &Field) {
+        let of_cell = &self.components.of_cell;
+        self.borders.find(of_cell, field.lanes, &mut self.border);
+        self.border_cells.clear();
+        self.border_cells.resize(self.components.len(), 0);
+        let components = &self.components;
+        self.border.retain(|&cell| {
+            of_cell[cell as usize] != NONE && !components.is_core(cell as usize, field)
+        });
+        for &cell in &self.border {
+            self.border_cells[of_cell[cell as usize] as usize] += 1;
+        }
+        self.fit_gain.clone_from(&field.gain);
+        for &cell in &self.border {
+            let component = of_cell[cell as usize] as usize;
+            let all = self.components.sizes[component];
+            let core = all - self.border_cells[component];
+            if core >= FEWEST_CORE && core as f64 >= LEAST_CORE_SHARE * all as f64 {
+                self.fit_gain[cell as usize] = 0.0;
+            }
+        }
+    }
+
+    /// The sums of a component, about the plane `q · p = 1`.
+    fn sum_up(&self, field: &Field, component: usize, q: [f64; 3]) -> PlaneSums {
+        let cell = self.middle(component);
+        let anchor = [field.x[cell], field.y[cell], field.z[cell]];
+        let q = q.map(|v| v as f32);
+        let mut sums = PlaneSums::new(Reference { q, anchor });
+        let columns = Columns {
+            x: &field.x,
+            y: &field.y,
+            z: &field.z,
+            inverse: &field.inverse,
+            gain: &field.gain,
+            fit_gain: &self.fit_gain,
+        };
+        for run in self.components.runs(component) {
+            sums.add_run(&columns, run);
+        }
+        sums.flush();
+        sums
+    }
+
+    /// The shape of a component that the plane of its label does not explain.
     ///
     /// A part of the cells, evenly taken, tells which shape it is; only a curved one is then fitted
     /// to all of them.
@@ -198,81 +245,68 @@ impl Assembler {
         field: &Field,
         component: usize,
         config: &SegmentationConfig,
-    ) -> Option<Fitted> {
+    ) -> Fitted {
         let cells = self.components.cells(component);
+        let count = self.components.sizes[component];
         let belongs = |cell: usize| self.components.of_cell[cell] == component as u32;
-        let axes = candidate_axes(field, cells, belongs);
-        let stride = cells.len().div_ceil(TRIAL_CELLS).max(1);
-        gather(field, cells.iter().step_by(stride), &self.core, &mut self.readings);
-        let (trial, _) =
-            choose(&self.readings, &axes, &config.limits, &field.errors, Candidates::All);
-        let candidates = match trial {
-            Fitted::Plane(_) => return None,
-            Fitted::Other => return Some(Fitted::Other),
-            Fitted::Sphere { .. } => Candidates::Sphere,
-            Fitted::Cylinder { .. } => Candidates::Cylinder,
-        };
-        if stride == 1 {
-            return Some(trial);
+        let axes = candidate_axes(field, cells.clone(), count, belongs);
+        let stride = count.div_ceil(TRIAL_CELLS).max(1);
+        gather(field, cells.clone().step_by(stride), &self.fit_gain, &mut self.readings);
+        let (chosen, _) = choose(&self.readings, &axes, &config.limits, &field.errors);
+        if matches!(chosen, Fitted::Plane(_)) {
+            return chosen;
         }
-        gather(field, cells.iter(), &self.core, &mut self.readings);
-        match choose(&self.readings, &axes, &config.limits, &field.errors, candidates) {
-            (Fitted::Plane(_), _) => None,
-            (fitted, _) => Some(fitted),
+        if stride > 1 {
+            gather(field, cells, &self.fit_gain, &mut self.readings);
         }
+        settle(&self.readings, chosen, &config.limits).unwrap_or_else(|| {
+            fit_plane(&self.readings).map_or(Fitted::Other, |(plane, _)| Fitted::Plane(plane))
+        })
     }
 
     fn write_surfaces(&mut self, field: &Field, result: &mut Segmentation) {
         // Readings that err alike tell less than their number says.
         let patch = field.errors.patch;
-        for (index, (component, fitted, sums)) in self.fitted.drain(..).enumerate() {
+        for (index, region) in self.fitted.drain(..).enumerate() {
+            let FittedRegion { component, shape, centroid } = region;
             let cells = self.components.cells(component);
-            let points = cells.iter().map(|&cell| Vector3::from(field.point(cell as usize)));
-            let plain = sums.plain();
-            let centroid = Vector3::from(plain.b) / plain.c;
-            let (shape, square) = match fitted {
+            let count = self.components.sizes[component];
+            let distances = |model: &Model| {
+                let points = cells.map(|cell| Vector3::from(field.point(cell)));
+                points.map(|p| model.distance(&p).0.powi(2)).sum::<f64>() / count as f64
+            };
+            let (shape, square) = match shape {
                 Fitted::Plane(plane) => {
-                    let PlaneFit { grid_from_plane, covariance, .. } = plane;
-                    let covariance = covariance * patch;
-                    let rotation = grid_from_plane.rotation.to_rotation_matrix();
-                    let (ex, ey) = (rotation * Vector3::x(), rotation * Vector3::y());
-                    let origin = grid_from_plane.translation.vector;
-                    self.flat.clear();
-                    self.flat.extend(points.map(|p| {
-                        let d = p - origin;
-                        [ex.dot(&d), ey.dot(&d)]
-                    }));
+                    let PlaneFit { grid_from_plane, covariance, square_m2, .. } = plane;
                     let fresh = || Vec::with_capacity(HULL_VERTICES);
                     let mut hull = self.spare_hulls.pop().unwrap_or_else(fresh);
-                    self.hull.find(&self.flat, &mut hull);
-                    let patch = PlanePatch { grid_from_plane, covariance, hull };
-                    let plane = patch.plane();
-                    let square = plain.mean_square_distance(&plane.normal, plane.offset_m);
-                    (Shape::Plane(patch), square)
+                    let points = [&field.x[..], &field.y, &field.z];
+                    let runs = self.components.runs(component);
+                    self.hull.find_in_runs(points, runs, &grid_from_plane, &mut hull);
+                    let covariance = covariance * patch;
+                    (Shape::Plane(PlanePatch { grid_from_plane, covariance, hull }), square_m2)
                 }
                 Fitted::Sphere { centre, radius_m, covariance } => {
                     let covariance = covariance * patch;
-                    let model = Model::Sphere { centre: centre.coords, radius_m };
-                    let square = mean_square_distance(&model, points);
+                    let square = distances(&Model::Sphere { centre: centre.coords, radius_m });
                     (Shape::Sphere(Sphere { centre, radius_m, covariance }), square)
                 }
                 Fitted::Cylinder { axis_point, axis, radius_m, length_m, covariance } => {
                     let covariance = covariance * patch;
                     let (foot, direction) = (axis_point.coords, axis.into_inner());
-                    let model = Model::Cylinder { foot, axis: direction, radius_m };
-                    let square = mean_square_distance(&model, points);
+                    let square = distances(&Model::Cylinder { foot, axis: direction, radius_m });
                     let shape = Cylinder { axis_point, axis, radius_m, length_m, covariance };
                     (Shape::Cylinder(shape), square)
                 }
                 Fitted::Other => {
                     // From the plane across the line of sight through the centroid.
-                    let square = plain.mean_square_distance(&centroid.normalize(), centroid.norm());
-                    (Shape::Other, square)
+                    let normal = centroid.normalize();
+                    (Shape::Other, distances(&Model::Plane { normal, offset_m: centroid.norm() }))
                 }
             };
             result.surfaces.push(Surface {
                 id: index as u16 + 1,
-                points: cells.len(),
+                points: count,
                 rms_m: square.max(0.0).sqrt(),
                 centroid: Point3::from(centroid),
                 shape,
@@ -281,25 +315,19 @@ impl Assembler {
     }
 
     fn write_labels(&mut self, field: &Field, result: &mut Segmentation) {
-        self.ids.clear();
-        self.ids.resize(self.components.len(), 0);
-        for (index, &(_, component)) in self.order.iter().enumerate() {
-            self.ids[component] = index as u16 + 1;
-        }
         result.labels.clear();
         result.labels.resize(field.len(), 0);
-        for (cell, &component) in self.components.of_cell.iter().enumerate() {
-            if component != NONE {
-                let cell = if field.transposed { field.grid_index(cell) } else { cell };
-                result.labels[cell] = self.ids[component as usize];
+        for (index, &(_, component)) in self.order.iter().enumerate() {
+            let id = index as u16 + 1;
+            for run in self.components.runs(component) {
+                if field.transposed {
+                    run.for_each(|cell| result.labels[field.grid_index(cell)] = id);
+                } else {
+                    result.labels[run].fill(id);
+                }
             }
         }
     }
-}
-
-/// Runs of successive cells.
-fn runs(cells: &[u32]) -> impl Iterator<Item = Range<usize>> + '_ {
-    cells.chunk_by(|a, b| a + 1 == *b).map(|run| run[0] as usize..run[0] as usize + run.len())
 }
 
 /// Adds a line to the rejected, in a string that an earlier result had.
@@ -316,22 +344,15 @@ fn reject(
 }
 
 /// Gathers the readings of cells.
-fn gather<'a>(
+fn gather(
     field: &Field,
-    cells: impl Iterator<Item = &'a u32>,
-    core: &[bool],
+    cells: impl Iterator<Item = usize>,
+    fit_gain: &[f32],
     readings: &mut Readings,
 ) {
     readings.clear();
-    for &cell in cells {
-        let cell = cell as usize;
+    for cell in cells {
         let (inverse, sigma) = (f64::from(field.inverse[cell]), field.sigma_m(cell));
-        readings.push(field.point(cell), inverse, sigma, core[cell]);
+        readings.push(field.point(cell), inverse, sigma, fit_gain[cell] > 0.0);
     }
-}
-
-/// Mean square of the geometric distance from a shape.
-fn mean_square_distance(model: &Model, points: impl ExactSizeIterator<Item = Vector3<f64>>) -> f64 {
-    let count = points.len().max(1) as f64;
-    points.map(|p| model.distance(&p).0.powi(2)).sum::<f64>() / count
 }

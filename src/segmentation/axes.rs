@@ -6,6 +6,8 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 /// Places in a region at which a local normal is taken.
 const PLACES: usize = 48;
+/// About how many cells tell how a region extends.
+const SPREAD: usize = 128;
 /// Lanes from the middle of a local window to its side.
 const REACH: usize = 1;
 
@@ -16,23 +18,25 @@ const REACH: usize = 1;
 /// regions too narrow for normals.
 pub(super) fn candidate_axes(
     field: &Field,
-    cells: &[u32],
+    cells: impl Iterator<Item = usize> + Clone,
+    count: usize,
     belongs: impl Fn(usize) -> bool,
 ) -> [Vector3<f64>; 4] {
     let aspect = ((field.across_rad / field.along_rad).round() as usize).clamp(1, 8);
     let mut normals = Matrix3::<f64>::zeros();
     let mut scatter = Matrix3::<f64>::zeros();
     let mut centroid = Vector3::<f64>::zeros();
-    for &cell in cells {
-        centroid += Vector3::from(field.point(cell as usize));
+    let some = cells.clone().step_by(count.div_ceil(SPREAD).max(1));
+    for cell in some.clone() {
+        centroid += Vector3::from(field.point(cell));
     }
-    centroid /= cells.len().max(1) as f64;
-    for &cell in cells.iter().step_by(cells.len().div_ceil(512)) {
-        let d = Vector3::from(field.point(cell as usize)) - centroid;
+    centroid /= some.clone().count().max(1) as f64;
+    for cell in some {
+        let d = Vector3::from(field.point(cell)) - centroid;
         scatter += d * d.transpose();
     }
-    for &cell in cells.iter().step_by(cells.len().div_ceil(PLACES)) {
-        let (step, lane) = (cell as usize / field.lanes, cell as usize % field.lanes);
+    for cell in cells.step_by(count.div_ceil(PLACES).max(1)) {
+        let (step, lane) = (cell / field.lanes, cell % field.lanes);
         let mut moments = Moments::default();
         let reach = 2 * aspect;
         for s in step.saturating_sub(reach)..=(step + reach).min(field.steps - 1) {

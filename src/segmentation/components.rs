@@ -2,21 +2,24 @@
 
 use super::field::Field;
 use super::morphology::neighbours8;
+use std::ops::Range;
 
-/// The components of a label image: cell lists one after the other.
+/// The components of a label image, as runs of cells.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Components {
     /// Component of each cell, `NONE` for unlabelled cells.
     pub of_cell: Vec<u32>,
-    /// All labelled cells, component by component.
-    pub cells: Vec<u32>,
-    /// Start of each component in `cells`, and the end of the last.
-    pub starts: Vec<usize>,
+    /// Cells of each component.
+    pub sizes: Vec<usize>,
+    /// All runs, component by component.
+    sorted: Vec<(u32, u32)>,
+    /// Start of each component in `sorted`, and the end of the last.
+    starts: Vec<usize>,
     runs: Vec<Run>,
     /// First run of each row, and the end of the last.
     row_starts: Vec<usize>,
     width: u32,
-    /// Where the next cell of each component goes.
+    /// Where the next run of each component goes.
     filled: Vec<usize>,
 }
 
@@ -34,15 +37,22 @@ pub(super) const NONE: u32 = u32::MAX;
 
 impl Components {
     pub fn len(&self) -> usize {
-        self.starts.len().saturating_sub(1)
+        self.sizes.len()
     }
 
-    pub fn cells(&self, component: usize) -> &[u32] {
-        &self.cells[self.starts[component]..self.starts[component + 1]]
+    /// The runs of successive cells of a component, in order.
+    pub fn runs(&self, component: usize) -> impl Iterator<Item = Range<usize>> + Clone + '_ {
+        let runs = &self.sorted[self.starts[component]..self.starts[component + 1]];
+        runs.iter().map(|&(first, end)| first as usize..end as usize)
+    }
+
+    /// The cells of a component, in order.
+    pub fn cells(&self, component: usize) -> impl Iterator<Item = usize> + Clone + '_ {
+        self.runs(component).flatten()
     }
 
     /// Finds the components of `labels`; 0 is no label. They are numbered by their first cell, and
-    /// list their cells in order.
+    /// list their runs in order.
     ///
     /// Runs of equal labels are joined row by row (union-find), so the cost of a cell is that of
     /// comparing it with the one before it.
@@ -52,16 +62,13 @@ impl Components {
         self.number_runs();
         self.of_cell.clear();
         self.of_cell.resize(labels.len(), NONE);
-        self.cells.clear();
-        self.cells.resize(self.starts.last().copied().unwrap_or(0), 0);
+        self.sorted.clear();
+        self.sorted.resize(self.runs.len(), (0, 0));
         for run in &self.runs {
-            let component = run.parent;
-            let at = &mut self.filled[component as usize];
-            self.of_cell[run.first as usize..run.end as usize].fill(component);
-            for (slot, cell) in self.cells[*at..].iter_mut().zip(run.first..run.end) {
-                *slot = cell;
-            }
-            *at += (run.end - run.first) as usize;
+            let at = &mut self.filled[run.parent as usize];
+            self.of_cell[run.first as usize..run.end as usize].fill(run.parent);
+            self.sorted[*at] = (run.first, run.end);
+            *at += 1;
         }
     }
 
@@ -120,28 +127,30 @@ impl Components {
         run
     }
 
-    /// Replaces the parent of each run by the number of its component, and counts cells.
+    /// Replaces the parent of each run by the number of its component, and counts cells and runs.
     fn number_runs(&mut self) {
         self.filled.clear();
+        self.sizes.clear();
         for k in 0..self.runs.len() {
             let Run { first, end, parent } = self.runs[k];
-            let size = (end - first) as usize;
             // A parent comes before its children, so it has its number already.
-            if parent as usize == k {
-                self.runs[k].parent = self.filled.len() as u32;
-                self.filled.push(size);
+            let component = if parent as usize == k {
+                self.filled.push(0);
+                self.sizes.push(0);
+                self.filled.len() as u32 - 1
             } else {
-                let component = self.runs[parent as usize].parent;
-                self.runs[k].parent = component;
-                self.filled[component as usize] += size;
-            }
+                self.runs[parent as usize].parent
+            };
+            self.runs[k].parent = component;
+            self.filled[component as usize] += 1;
+            self.sizes[component as usize] += (end - first) as usize;
         }
         self.starts.clear();
         let mut sum = 0;
-        for size in &mut self.filled {
+        for count in &mut self.filled {
             self.starts.push(sum);
-            sum += *size;
-            *size = sum - *size;
+            sum += *count;
+            *count = sum - *count;
         }
         self.starts.push(sum);
     }
@@ -190,8 +199,7 @@ mod tests {
                     at += 1;
                 }
                 cells.sort_unstable();
-                let found: Vec<usize> =
-                    components.cells(next).iter().map(|&cell| cell as usize).collect();
+                let found: Vec<usize> = components.cells(next).collect();
                 prop_assert_eq!(&found, &cells);
                 prop_assert!(cells.iter().all(|&c| components.of_cell[c] == next as u32));
                 next += 1;
@@ -206,7 +214,8 @@ mod tests {
         let mut components = Components::default();
         components.find(&labels, 3);
         assert_eq!(components.len(), 3);
-        assert_eq!(components.cells(0), [0, 2, 4]);
-        assert_eq!((components.cells(1), components.cells(2)), (&[6][..], &[11][..]));
+        let cells = [0, 1, 2].map(|component| components.cells(component).collect::<Vec<_>>());
+        assert_eq!(cells, [vec![0, 2, 4], vec![6], vec![11]]);
+        assert_eq!(components.sizes, [3, 1, 1]);
     }
 }

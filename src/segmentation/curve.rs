@@ -8,7 +8,7 @@
 use super::config::ShapeLimits;
 use super::facets::Facets;
 use super::field::Field;
-use super::fit::{Model, Readings, fit_cylinder, fit_sphere};
+use super::fit::{Model, Readings, fit_cylinder, fit_sphere, settle_model};
 use super::grow::{Grower, neighbours};
 use super::noise::ReadingErrors;
 use super::sticks::{Stick, Sticks};
@@ -285,6 +285,8 @@ impl CurveFinder {
             let Some(refined) = refined else { return };
             model = refined;
         }
+        // Errors across the surface bias the radius by σ² / R; those along the rays do not.
+        let Some(model) = settle_model(&self.readings, &model) else { return };
         let radius_m = match &model {
             Model::Cylinder { radius_m, .. } | Model::Sphere { radius_m, .. } => *radius_m,
             Model::Plane { .. } => return,

@@ -1,17 +1,20 @@
 //! Convex hulls of many points in a plane, without allocation.
 
-use nalgebra::Point2;
+use nalgebra::{Isometry3, Point2, Vector3};
+use std::ops::Range;
+use wide::f32x4;
 
 /// Directions in which extreme points are sought, 45° apart; what lies inside their polygon is no
 /// vertex.
 const DIRECTIONS: usize = 8;
-/// Step through the points for a first guess at what is inside.
-const ROUGH_STEP: usize = 8;
+/// What single precision may misplace a point by, relative to its distance.
+const SINGLE: f32 = 1e-6;
 
 /// Buffers of the hull.
 #[derive(Clone, Debug, Default)]
 pub(super) struct HullFinder {
     outer: Vec<[f64; 2]>,
+    ends: Vec<[f64; 2]>,
     candidates: Vec<[f64; 2]>,
 }
 
@@ -66,18 +69,62 @@ impl HullFinder {
         }
     }
 
+    /// The convex hull, in the frame of a plane, of the points of runs of cells.
+    ///
+    /// The ends of the runs are nearly all of the outline: what is inside the polygon of their
+    /// extremes is sorted out four points at a time.
+    pub fn find_in_runs(
+        &mut self,
+        [x, y, z]: [&[f32]; 3],
+        runs: impl Iterator<Item = Range<usize>> + Clone,
+        grid_from_plane: &Isometry3<f64>,
+        hull: &mut Vec<Point2<f64>>,
+    ) {
+        let rotation = grid_from_plane.rotation.to_rotation_matrix().into_inner();
+        let origin = grid_from_plane.translation.vector;
+        let flat = |cell: usize| {
+            let d = Vector3::new(x[cell], y[cell], z[cell]).cast::<f64>() - origin;
+            [rotation.column(0).dot(&d), rotation.column(1).dot(&d)]
+        };
+        self.ends.clear();
+        for run in runs.clone() {
+            self.ends.extend([flat(run.start), flat(run.end - 1)]);
+        }
+        let inner = Inner::of(&Extremes::of(self.ends.iter()), origin.norm() as f32);
+        let [ex, ey] = [0, 1].map(|i| rotation.column(i).into_owned().cast::<f32>());
+        let places = [ex, ey].map(|e| (e, e.dot(&origin.cast::<f32>())));
+        let mut outer = std::mem::take(&mut self.outer);
+        outer.clear();
+        for run in runs {
+            if run.len() < 4 {
+                outer.extend(run.map(flat));
+                continue;
+            }
+            // The last four may be some that were looked at already, which changes no hull.
+            let last = run.end - 4;
+            for first in run.step_by(4).map(|first| first.min(last)) {
+                let [x, y, z] = [x, y, z].map(|values| f32x4::from(&values[first..first + 4]));
+                let at = places.map(|(e, o)| {
+                    x * f32x4::splat(e.x) + y * f32x4::splat(e.y) + z * f32x4::splat(e.z)
+                        - f32x4::splat(o)
+                });
+                let outside = inner.outside(at);
+                if outside != 0 {
+                    outer.extend(
+                        (0..4).filter(|i| outside & (1 << i) != 0).map(|i| flat(first + i)),
+                    );
+                }
+            }
+        }
+        self.find(&outer, hull);
+        self.outer = outer;
+    }
+
     /// Copies the points that may be vertices.
     fn keep_outer(&mut self, points: &[[f64; 2]]) {
-        // A part of the points is enough to spare most of the others any more work.
-        let rough = Extremes::of(points.iter().step_by(ROUGH_STEP));
-        self.outer.clear();
-        // Equal points make no polygon that others could be inside of.
-        let one = rough.points.iter().all(|point| *point == rough.points[0]);
-        self.outer.extend(points.iter().filter(|point| one || rough.may_be_vertex(**point)));
-        let extremes = Extremes::of(self.outer.iter());
+        let extremes = Extremes::of(points.iter());
         self.candidates.clear();
-        self.candidates
-            .extend(self.outer.iter().filter(|point| extremes.may_be_vertex(**point)).copied());
+        self.candidates.extend(points.iter().filter(|point| extremes.may_be_vertex(**point)));
         self.keep_beyond_chords(&extremes);
     }
 
@@ -104,6 +151,57 @@ impl HullFinder {
                     && cross(top, b, point) > 0.0
             })
         });
+    }
+}
+
+/// The inside of the polygon of extremes, for single precision: what it holds is surely inside.
+struct Inner {
+    /// The rectangle's low and high x, then y.
+    rectangle: [f32; 4],
+    /// Distances `n · p + c` from the edges, as n and c.
+    edges: [[f32; 3]; DIRECTIONS],
+}
+
+impl Inner {
+    /// `distance_m` is about how far the points are away.
+    fn of(extremes: &Extremes, distance_m: f32) -> Self {
+        let (low, high) = (extremes.low, extremes.high);
+        let size = (extremes.points[0][0] - extremes.points[4][0]) as f32;
+        let margin = SINGLE * (distance_m + 4.0 * size);
+        // An edge of no length bounds nothing, but then without any edge nothing would be outside.
+        let nothing = extremes.points.iter().all(|point| *point == extremes.points[0]);
+        let free = if nothing { -1.0 } else { 1.0 };
+        let edges = std::array::from_fn(|k| {
+            let (a, b) = (extremes.points[k], extremes.points[(k + 1) % DIRECTIONS]);
+            let length = distance_squared(a, b).sqrt();
+            if length == 0.0 {
+                return [0.0, 0.0, free];
+            }
+            let (nx, ny) = ((a[1] - b[1]) / length, (b[0] - a[0]) / length);
+            [nx as f32, ny as f32, -(nx * a[0] + ny * a[1]) as f32 - margin]
+        });
+        let rectangle = [
+            low[0] as f32 + margin,
+            high[0] as f32 - margin,
+            low[1] as f32 + margin,
+            high[1] as f32 - margin,
+        ];
+        Self { rectangle, edges }
+    }
+
+    /// A bit for each of four points that may be outside.
+    #[inline]
+    fn outside(&self, [x, y]: [f32x4; 2]) -> u32 {
+        let [left, right, low, high] = self.rectangle.map(f32x4::splat);
+        let within = x.simd_gt(left) & x.simd_lt(right) & y.simd_gt(low) & y.simd_lt(high);
+        if within.all() {
+            return 0;
+        }
+        let mut least = f32x4::ONE;
+        for [nx, ny, c] in self.edges.map(|edge| edge.map(f32x4::splat)) {
+            least = least.fast_min(nx * x + ny * y + c);
+        }
+        !least.simd_gt(f32x4::ZERO).to_bitmask() & 0xf
     }
 }
 

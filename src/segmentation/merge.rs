@@ -1,7 +1,6 @@
 //! Neighbouring planar regions that one plane explains become one.
 
 use super::moments::Moments;
-use super::morphology::neighbours8;
 use super::noise::ReadingErrors;
 
 /// Rise of the error, in units of the noise, that a merge may always cost: three parameters and an
@@ -27,12 +26,24 @@ impl Merger {
     pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize, borders: &[u32]) {
         self.pairs.clear();
         for &cell in borders {
-            let label = labels[cell as usize];
-            if label != 0 {
-                for n in neighbours8(cell as usize, width, labels.len()) {
-                    if n > cell as usize {
-                        self.push_pair(label, labels[n]);
-                    }
+            let cell = cell as usize;
+            let label = labels[cell];
+            if label == 0 {
+                continue;
+            }
+            // The neighbours before it have looked at it.
+            let below = cell + width;
+            let (left, right) = (cell % width > 0, (cell + 1) % width > 0);
+            if right {
+                self.push_pair(label, labels[cell + 1]);
+            }
+            if below < labels.len() {
+                self.push_pair(label, labels[below]);
+                if left {
+                    self.push_pair(label, labels[below - 1]);
+                }
+                if right {
+                    self.push_pair(label, labels[below + 1]);
                 }
             }
         }

@@ -143,18 +143,14 @@ impl Segmenter {
             None => self.noise_estimator.estimate(&self.field),
         };
         self.field.set_errors(errors);
-        match self.config.method {
-            Method::Paper => {
-                self.paper.run(&self.field, &self.config, &mut self.labels, observe);
-            }
-            Method::Sticks => {
-                self.sticks.run(&self.field, &self.config, &mut self.labels, observe);
-            }
-        }
+        let moments = match self.config.method {
+            Method::Paper => self.paper.run(&self.field, &self.config, &mut self.labels, observe),
+            Method::Sticks => self.sticks.run(&self.field, &self.config, &mut self.labels, observe),
+        };
         self.assembler.assemble(
             &self.field,
             &self.config,
-            &self.labels,
+            (&self.labels, moments),
             (grid.rows(), grid.columns()),
             &mut self.result,
             observe,

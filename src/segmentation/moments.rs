@@ -6,8 +6,6 @@
 //! `v = r² / σ²`: `c - 2 q·b + qᵀ A q`, where `A = Σ v p pᵀ`, `b = Σ v p`, `c = Σ v`.
 //! Two regions become one by adding their sums.
 
-use nalgebra::Vector3;
-
 /// Tangent of the angle of incidence up to which planes are expected: 72°.
 const SLOPE: f64 = 3.0;
 
@@ -113,17 +111,6 @@ impl Moments {
         let quadratic =
             xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
         (self.c - 2.0 * (self.b[0] * x + self.b[1] * y + self.b[2] * z) + quadratic).max(0.0)
-    }
-
-    /// Mean square of the distance from the plane `normal · p = offset_m`; of sums whose weights are
-    /// all one.
-    pub fn mean_square_distance(&self, normal: &Vector3<f64>, offset_m: f64) -> f64 {
-        let [xx, xy, xz, yy, yz, zz] = self.a;
-        let [x, y, z] = (*normal).into();
-        let quadratic =
-            xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
-        let linear = self.b[0] * x + self.b[1] * y + self.b[2] * z;
-        (quadratic - 2.0 * offset_m * linear) / self.c + offset_m * offset_m
     }
 
     /// As [`error`](Self::error), with what the prior says against the plane.

@@ -281,15 +281,19 @@ impl NoiseEstimator {
         let stride = (field.len() / SAMPLES).max(1);
         let apart = down * lanes + right;
         let last = lanes.saturating_sub(3 * right);
+        if last == 0 {
+            return;
+        }
         for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
-            for lane in 0..last {
-                let cell = step * lanes + lane;
-                let [a, b, c, d] = [0, 1, 2, 3].map(|k| field.inverse[cell + k * apart]);
+            let cells = step * lanes..step * lanes + last;
+            let row = |k: usize| &field.inverse[cells.start + k * apart..cells.end + k * apart];
+            let ranges = &field.range[cells.start + apart..cells.end + apart];
+            let inner = row(1).iter().zip(row(2)).zip(ranges);
+            for ((&a, &d), ((&b, &c), &range)) in row(0).iter().zip(row(3)).zip(inner) {
                 if a * b * c * d == 0.0 {
                     continue;
                 }
                 let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
-                let range = field.range[cell + apart];
                 let Some((class, error)) = filed(Difference { first, third, range }, step) else {
                     continue;
                 };

@@ -11,7 +11,7 @@ use super::components::Components;
 use super::config::{PaperConfig, SegmentationConfig};
 use super::field::Field;
 use super::fill::flood_fill;
-use super::fit::{Candidates, Fitted, Model, Readings, choose};
+use super::fit::{Fitted, Model, Readings, choose};
 use super::merge::Merger;
 use super::moments::Moments;
 use super::morphology::Morphology;
@@ -52,14 +52,15 @@ pub(super) struct PaperChain {
 }
 
 impl PaperChain {
-    /// Finds the regions of a field; `labels` gets one number to each, 0 for none.
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns the sums of
+    /// each label.
     pub fn run(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
         labels: &mut Vec<u32>,
         observe: &mut dyn FnMut(Stage),
-    ) {
+    ) -> &[Moments] {
         let paper = &config.paper;
         let width = field.lanes;
         self.residual.compute(field);
@@ -92,6 +93,7 @@ impl PaperChain {
         self.flat.extend(self.models.iter().map(|m| matches!(m, Some(Model::Plane { .. }))));
         self.merge(field, labels);
         observe(Stage::Split);
+        &self.moments
     }
 
     fn find_edges(&mut self, field: &Field, paper: &PaperConfig) {
@@ -113,21 +115,20 @@ impl PaperChain {
     fn fit_models(&mut self, field: &Field, config: &SegmentationConfig) {
         self.models.clear();
         for component in 0..self.components.len() {
-            let cells = self.components.cells(component);
-            if cells.len() < FEWEST_CELLS {
+            let count = self.components.sizes[component];
+            if count < FEWEST_CELLS {
                 self.models.push(None);
                 continue;
             }
             self.readings.clear();
-            for &cell in cells {
-                let cell = cell as usize;
+            let cells = self.components.cells(component);
+            for cell in cells.clone() {
                 let sigma = field.sigma_m(cell);
                 self.readings.push(field.point(cell), f64::from(field.inverse[cell]), sigma, true);
             }
-            let axes =
-                candidate_axes(field, cells, |c| self.components.of_cell[c] == component as u32);
-            let (fitted, _) =
-                choose(&self.readings, &axes, &config.limits, &field.errors, Candidates::All);
+            let belongs = |c: usize| self.components.of_cell[c] == component as u32;
+            let axes = candidate_axes(field, cells, count, belongs);
+            let (fitted, _) = choose(&self.readings, &axes, &config.limits, &field.errors);
             self.models.push(match fitted {
                 Fitted::Plane(plane) => Some(plane.model()),
                 Fitted::Sphere { centre, radius_m, .. } => {

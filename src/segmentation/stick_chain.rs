@@ -25,14 +25,15 @@ pub(super) struct StickChain {
 }
 
 impl StickChain {
-    /// Finds the regions of a field; `labels` gets one number to each, 0 for none.
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns the sums of
+    /// each label.
     pub fn run(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
         labels: &mut Vec<u32>,
         observe: &mut dyn FnMut(Stage),
-    ) {
+    ) -> &[Moments] {
         observe(Stage::Residual);
         self.sticks.cut(field);
         observe(Stage::Morphology);
@@ -59,6 +60,7 @@ impl StickChain {
         self.competition.settle_again(field, &self.rivals, labels);
         self.settled.clone_from(labels);
         observe(Stage::Split);
+        &self.moments
     }
 
     /// Merges planes that touch now that the cells are settled, and fits them anew.

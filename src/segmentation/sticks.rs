@@ -61,20 +61,22 @@ pub(super) struct Sticks {
     pub sticks: Vec<Stick>,
     /// Stick of each cell.
     pub of_cell: Vec<u32>,
-    /// Blocks of each step; the last is filled up with cells without a return.
+    /// Blocks of lanes; the last is filled up with cells without a return. All that is kept of them
+    /// stands block after block, each from its first step on.
     blocks: usize,
+    steps: usize,
     inverse: Vec<Block>,
     /// One over the noise of the inverse range at each cell.
     sharpness: Vec<Block>,
-    /// Least cost of each lane up to each step, from "nothing yet" on.
+    /// Least cost of each lane up to each step, from "nothing yet" on, with the price of a stick more.
     cost: Vec<Block>,
     /// Length of the stick that ends at each cell, if one does.
     length: Vec<[u8; BLOCK]>,
     tables: Vec<Table>,
 }
 
-/// What depends on the positions of a stick's steps alone, for sticks of one length; the same for all
-/// lanes.
+/// What depends on the positions of a stick's steps alone, for sticks of one length from two cells on;
+/// the same for all lanes.
 #[derive(Clone, Copy, Debug, Default)]
 struct Table {
     /// Position of the farthest step before the last one.
@@ -84,7 +86,6 @@ struct Table {
     /// One over the scatter of the positions, and its square.
     inverse_scatter: Block,
     square: Block,
-    price: Block,
     /// The length, as [`LENGTH_BITS`] hold it.
     length: Block,
 }
@@ -94,7 +95,7 @@ impl Sticks {
     pub fn cut(&mut self, field: &Field) {
         self.load(field);
         self.cost.clear();
-        self.cost.resize((field.steps + 1) * self.blocks, Block::ZERO);
+        self.cost.resize((field.steps + 1) * self.blocks, Block::splat(PRICE));
         self.length.resize(field.steps * self.blocks, [1; BLOCK]);
         for step in 0..field.steps {
             self.make_tables(field, step);
@@ -108,22 +109,23 @@ impl Sticks {
     /// Copies what the cut needs into blocks.
     fn load(&mut self, field: &Field) {
         self.blocks = field.lanes.div_ceil(BLOCK);
+        self.steps = field.steps;
         // Readings that err alike break a line no more than one of them does.
         let trust = (1.0 / field.errors.run).sqrt() as f32;
-        self.inverse.clear();
-        self.sharpness.clear();
+        let cells = self.blocks * field.steps;
+        self.inverse.resize(cells, Block::ZERO);
+        self.sharpness.resize(cells, Block::ZERO);
         for step in 0..field.steps {
             let row = step * field.lanes..(step + 1) * field.lanes;
             let (inverse, ranges) = (&field.inverse[row.clone()], &field.range[row.clone()]);
             let cells = inverse.chunks(BLOCK).zip(ranges.chunks(BLOCK));
-            for ((inverse, ranges), gains) in cells.zip(field.gain[row].chunks(BLOCK)) {
-                let (mut block, mut sharpness) = ([0.0; BLOCK], [0.0; BLOCK]);
-                for i in 0..inverse.len() {
-                    block[i] = inverse[i];
-                    sharpness[i] = gains[i] * ranges[i] * trust;
-                }
-                self.inverse.push(Block::new(block));
-                self.sharpness.push(Block::new(sharpness));
+            let blocks = (step..).step_by(field.steps);
+            for (((inverse, ranges), gains), at) in
+                cells.zip(field.gain[row].chunks(BLOCK)).zip(blocks)
+            {
+                let [inverse, ranges, gains] = [inverse, ranges, gains].map(four);
+                self.inverse[at] = inverse;
+                self.sharpness[at] = gains * ranges * Block::splat(trust);
             }
         }
     }
@@ -131,20 +133,19 @@ impl Sticks {
     fn make_tables(&mut self, field: &Field, step: usize) {
         self.tables.clear();
         let (mut sum, mut squares) = (0.0, 0.0);
-        for k in 0..LONGEST.min(step + 1) {
+        for k in 1..LONGEST.min(step + 1) {
             let back = field.positions[step] - field.positions[step - k];
             sum += back;
             squares += back * back;
             let length = (k + 1) as f32;
             let scatter: f32 = squares - sum * sum / length;
-            let inverse_scatter = if k > 0 { 1.0 / scatter.max(1e-14) } else { 0.0 };
+            let inverse_scatter = 1.0 / scatter.max(1e-14);
             self.tables.push(Table {
                 back: Block::splat(back),
                 mean: Block::splat(sum / length),
                 inverse_length: Block::splat(1.0 / length),
                 inverse_scatter: Block::splat(inverse_scatter),
                 square: Block::splat(inverse_scatter * inverse_scatter),
-                price: Block::splat(if k == 0 { PRICE - NO_SLOPE } else { PRICE }),
                 length: Block::splat(f32::from_bits(k as u32)),
             });
         }
@@ -152,37 +153,43 @@ impl Sticks {
 
     /// The best stick that ends at `step`, for the lanes of a block.
     fn extend(&mut self, step: usize, block: usize) {
-        let here = step * self.blocks + block;
+        let here = block * self.steps + step;
         let (inverse, sharpness) = (self.inverse[here], self.sharpness[here]);
         // Relative to the scatter of the positions, what the prior of the slope is worth.
         let slope = sharpness * inverse * Block::splat(SLOPE);
         let doubt = Block::ONE / (slope * slope).fast_max(Block::splat(1e-6));
+        let weight = sharpness * sharpness;
         let kept = Block::splat(f32::from_bits(!LENGTH_BITS));
-        let mut best = Block::splat(f32::INFINITY);
+        // Each block has a cost more than it has steps.
+        let before = self.cost[here + block];
+        // A stick of one cell has no error; its length is one, whose bits are none.
+        let mut best = (before - Block::splat(NO_SLOPE)) & kept;
         let (mut a, mut b, mut c) = (Block::ZERO, Block::ZERO, Block::ZERO);
-        for (k, table) in self.tables.iter().enumerate() {
-            // The cost up to the step before stands one row up in `cost`, at the same index.
-            let at = here - k * self.blocks;
-            let d = (self.inverse[at] - inverse) * sharpness;
+        let past = &self.inverse[here - self.tables.len()..here];
+        let costs = &self.cost[here + block - self.tables.len()..here + block];
+        for ((table, &other), &cost) in
+            self.tables.iter().zip(past.iter().rev()).zip(costs.iter().rev())
+        {
+            let d = other - inverse;
             a += d;
             b += table.back * d;
             c += d * d;
             let slope = b - table.mean * a;
             let told = (table.inverse_scatter - doubt * table.square).fast_max(Block::ZERO);
             let error = c - a * a * table.inverse_length - slope * slope * told;
-            let cost = self.cost[at] + (error + table.price);
-            best = best.fast_min((cost & kept) | table.length);
+            best = best.fast_min(((cost + weight * error) & kept) | table.length);
         }
-        let (best, before) = (best.to_array(), self.cost[here].to_array());
+        let (best, before) = (best.to_array(), before.to_array());
+        let valid = sharpness.to_array();
         let mut cost = [0.0; BLOCK];
         for i in 0..BLOCK {
             // A cell without a return is a stick of its own, at no price.
-            let valid = sharpness.to_array()[i] > 0.0;
-            cost[i] = if valid { best[i] } else { before[i] };
+            let valid = valid[i] > 0.0;
+            cost[i] = if valid { best[i] + PRICE } else { before[i] };
             let length = (best[i].to_bits() & LENGTH_BITS) as u8 + 1;
             self.length[here][i] = if valid { length } else { 1 };
         }
-        self.cost[here + self.blocks] = Block::new(cost);
+        self.cost[here + block + 1] = Block::new(cost);
     }
 
     /// Walks every lane back from its end and lists its sticks.
@@ -197,7 +204,7 @@ impl Sticks {
             let mut end = steps;
             while end > 0 {
                 let last = end - 1;
-                let first = end - usize::from(self.length[last * self.blocks + block][place]);
+                let first = end - usize::from(self.length[block * steps + last][place]);
                 if field.is_valid(last * lanes + lane) {
                     self.sticks.push(measure(field, lane, first, last));
                 }
@@ -210,6 +217,15 @@ impl Sticks {
                 }
             }
         }
+    }
+}
+
+/// Up to four values, filled up with zeros.
+#[inline]
+fn four(values: &[f32]) -> Block {
+    match values.first_chunk::<BLOCK>() {
+        Some(&values) => Block::new(values),
+        None => Block::new(std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))),
     }
 }
 
@@ -261,7 +277,12 @@ fn ray_at(field: &Field, lane: usize, first: usize, last: usize, position: f64) 
         let cell = step * field.lanes + lane;
         field.point(cell).map(|v| v * f64::from(field.inverse[cell]))
     };
-    let mut step = first;
+    // Steps are about evenly spaced: the search is short from there.
+    let away = (position - f64::from(field.positions[first])) / f64::from(field.along_rad);
+    let mut step = (first + away.max(0.0) as usize).min(last.saturating_sub(1)).max(first);
+    while step > first && f64::from(field.positions[step]) >= position {
+        step -= 1;
+    }
     while step + 1 < last && f64::from(field.positions[step + 1]) < position {
         step += 1;
     }

@@ -60,7 +60,7 @@ fn state(agent: &Agent) -> Vec<u8> {
 
 #[test]
 fn the_replay_of_a_recording_is_the_run() {
-    let (agent, bytes) = record(&scenario(3, 50.0));
+    let (agent, bytes) = record(&scenario(3, 65.0));
     let running = agent.running().unwrap();
     assert!(running.belief().path_m() > 0.0 && !running.ledger().sweeps.is_empty());
     let (again, difference) = replayed(&read(&bytes).unwrap());

@@ -2,27 +2,18 @@
 
 use super::super::config::ShapeLimits;
 use super::super::noise::ReadingErrors;
-use super::cylinder::{CylinderFit, fit_cylinder};
-use super::sphere::{SphereFit, fit_sphere};
-use super::{Fitted, Model, PlaneFit, Readings, fit_plane};
+use super::cylinder::{CylinderFit, fit_cylinder, settle_cylinder};
+use super::plane::fit_plane;
+use super::sphere::{SphereFit, fit_sphere, settle_sphere};
+use super::{CAP, Fitted, Model, PlaneFit, Readings};
 use nalgebra::{Matrix5, Point3, Unit, Vector3};
 
-/// Errors beyond this many standard deviations cost no more: the cost is that of an outlier.
-pub(in super::super) const CAP: f64 = 5.0;
 /// Excess of a plane's mean square error that imperfect surfaces and a wrong noise level explain.
 const IMPERFECT: f64 = 0.05;
 /// Share of a curved surface's mean square error on a plane below which it is none, and the greatest
 /// mean square error for which that holds: beyond it errors may be cut.
 const BENT: f64 = 0.3;
 const MOST_BENT: f64 = 4.0;
-
-/// Which curved shapes are tried beside the plane.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in super::super) enum Candidates {
-    All,
-    Sphere,
-    Cylinder,
-}
 
 /// The model that explains the readings at the least cost, and its mean square error.
 ///
@@ -33,7 +24,6 @@ pub(in super::super) fn choose(
     axes: &[Vector3<f64>],
     limits: &ShapeLimits,
     errors: &ReadingErrors,
-    candidates: Candidates,
 ) -> (Fitted, f64) {
     let mut best = (f64::INFINITY, Fitted::Other, f64::INFINITY);
     let mut offer = |fitted: Fitted, model: &Model| {
@@ -44,22 +34,20 @@ pub(in super::super) fn choose(
         }
     };
     let plane = fit_plane(readings);
-    let flat = plane.as_ref().is_some_and(|plane| {
-        is_flat(capped_error(readings, &plane.model()), readings.len(), plane, limits, errors)
-    });
-    if let Some(plane) = plane {
+    let flat = plane
+        .as_ref()
+        .is_some_and(|(plane, error)| is_flat(*error, readings.len(), plane, limits, errors));
+    if let Some((plane, _)) = plane {
         let model = plane.model();
         offer(Fitted::Plane(plane), &model);
     }
     if !flat {
-        let sphere = if candidates == Candidates::Cylinder { None } else { fit_sphere(readings) };
-        if let Some(sphere) = sphere.filter(|s| sphere_is_seen(readings, s, limits)) {
+        let sphere = fit_sphere(readings).filter(|s| sphere_is_seen(readings, s, limits));
+        if let Some(sphere) = sphere {
             let model = sphere.model();
-            let SphereFit { centre, radius_m, covariance } = sphere;
-            offer(Fitted::Sphere { centre: Point3::from(centre), radius_m, covariance }, &model);
+            offer(fitted_sphere(sphere), &model);
         }
-        let cylinder =
-            if candidates == Candidates::Sphere { None } else { fit_cylinder(readings, axes) };
+        let cylinder = fit_cylinder(readings, axes);
         if let Some(cylinder) = cylinder.filter(|c| cylinder_is_seen(readings, c, limits)) {
             let model = cylinder.model();
             offer(bounded(readings, cylinder), &model);
@@ -71,6 +59,53 @@ pub(in super::super) fn choose(
     } else {
         (fitted, mean_square)
     }
+}
+
+/// The shape that a part of the readings chose, settled on all of them along their rays; `None` where
+/// it is not what all of them show.
+pub(in super::super) fn settle(
+    readings: &Readings,
+    chosen: Fitted,
+    limits: &ShapeLimits,
+) -> Option<Fitted> {
+    let (fitted, model) = match chosen {
+        Fitted::Sphere { centre, radius_m, .. } => {
+            let sphere = settle_sphere(readings, (centre.coords, radius_m))?;
+            let model = sphere.model();
+            (sphere_is_seen(readings, &sphere, limits).then(|| fitted_sphere(sphere))?, model)
+        }
+        Fitted::Cylinder { axis_point, axis, radius_m, .. } => {
+            let start = (axis_point.coords, axis.into_inner(), radius_m);
+            let cylinder = settle_cylinder(readings, start)?;
+            let model = cylinder.model();
+            (
+                cylinder_is_seen(readings, &cylinder, limits)
+                    .then(|| bounded(readings, cylinder))?,
+                model,
+            )
+        }
+        Fitted::Plane(_) | Fitted::Other => return Some(chosen),
+    };
+    let mean_square = capped_error(readings, &model) / readings.len() as f64;
+    Some(if mean_square > limits.max_mean_square { Fitted::Other } else { fitted })
+}
+
+/// A sphere or cylinder that is nearly right, settled along the rays.
+pub(in super::super) fn settle_model(readings: &Readings, model: &Model) -> Option<Model> {
+    match model {
+        Model::Plane { .. } => None,
+        Model::Sphere { centre, radius_m } => {
+            settle_sphere(readings, (*centre, *radius_m)).map(|fit| fit.model())
+        }
+        Model::Cylinder { foot, axis, radius_m } => {
+            settle_cylinder(readings, (*foot, *axis, *radius_m)).map(|fit| fit.model())
+        }
+    }
+}
+
+fn fitted_sphere(sphere: SphereFit) -> Fitted {
+    let SphereFit { centre, radius_m, covariance } = sphere;
+    Fitted::Sphere { centre: Point3::from(centre), radius_m, covariance }
 }
 
 fn capped_error(readings: &Readings, model: &Model) -> f64 {

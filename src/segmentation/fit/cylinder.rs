@@ -1,7 +1,9 @@
 //! The circular cylinder of any axis: starts from candidate axes, then Gauss-Newton on the distance.
 
 use super::plane::largest_positive;
-use super::{LEAST_COSINE, Model, Phase, RAY_ROUNDS, RIM_COSINE, Readings, START_READINGS};
+use super::{
+    CONVERGED, LEAST_COSINE, Model, Phase, RAY_ROUNDS, RIM_COSINE, Readings, START_READINGS,
+};
 use nalgebra::{Matrix3, Matrix5, SVector, Vector3};
 
 const ROUNDS: usize = 10;
@@ -21,7 +23,7 @@ impl CylinderFit {
     }
 }
 
-/// Fits a cylinder from the best of the candidate axes; `None` where none leads anywhere.
+/// Fits a cylinder by errors across it from the best of the candidate axes; `None` where none leads anywhere.
 pub(in super::super) fn fit_cylinder(
     readings: &Readings,
     axes: &[Vector3<f64>],
@@ -31,7 +33,18 @@ pub(in super::super) fn fit_cylinder(
         .iter()
         .filter_map(|axis| circle_across(readings, &centroid, axis))
         .min_by(|a, b| a.mean_square.total_cmp(&b.mean_square))?;
-    refine(readings, &centroid, start)
+    refine(readings, &centroid, start, Phase::Start, ROUNDS)
+}
+
+/// Settles a cylinder that is nearly right by errors along the rays.
+pub(super) fn settle_cylinder(
+    readings: &Readings,
+    (foot, axis, radius_m): (Vector3<f64>, Vector3<f64>, f64),
+) -> Option<CylinderFit> {
+    let centroid = readings.centroid();
+    let foot = foot + axis * axis.dot(&(centroid - foot));
+    let start = Start { axis, foot, radius_m, mean_square: 0.0 };
+    refine(readings, &centroid, start, Phase::Rays, RAY_ROUNDS)
 }
 
 struct Start {
@@ -100,18 +113,24 @@ fn hit(
     Some((range, n, lengthwise * range - axis.dot(foot)))
 }
 
-fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<CylinderFit> {
+fn refine(
+    readings: &Readings,
+    centroid: &Vector3<f64>,
+    start: Start,
+    mut phase: Phase,
+    rounds: usize,
+) -> Option<CylinderFit> {
     let Start { mut axis, mut foot, mut radius_m, .. } = start;
     let mut fit = None;
-    let mut phase = Phase::Start;
-    for round in 0..ROUNDS + RAY_ROUNDS {
-        phase = Phase::of(round, ROUNDS, phase);
+    for round in 0..rounds {
+        phase = Phase::of(round, rounds, phase);
+        let stride = phase.stride(round, readings);
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
         let mut normal = Matrix5::<f64>::zeros();
         let mut right = SVector::<f64, 5>::zeros();
         let (mut square, mut count) = (0.0, 0.0);
-        for i in (0..readings.len()).step_by(phase.stride(readings)) {
+        for i in (0..readings.len()).step_by(stride) {
             let (point, ray, sigma) = (&readings.points[i], &readings.rays[i], readings.sigmas[i]);
             let (n, height, e, cosine) = if phase == Phase::Rays {
                 let Some((range, n, height)) = hit(&foot, &axis, radius_m, ray) else { continue };
@@ -156,8 +175,13 @@ fn refine(readings: &Readings, centroid: &Vector3<f64>, start: Start) -> Option<
         let left = (square - right.dot(&correction)).max(0.0);
         let mean_square = left / ((count - 5.0_f64).max(1.0) * phase.variance());
         fit = Some(inverse * mean_square.max(1.0));
-        // A step of a hundredth of its standard deviation.
-        if right.dot(&correction) < 1e-4 * mean_square.max(1.0) {
+        let step = right.dot(&correction) / mean_square.max(1.0);
+        if phase == Phase::Rays {
+            // All readings had a say, and from within a deviation of the end one round leads to it.
+            if stride == 1 && step < 1.0 {
+                break;
+            }
+        } else if step < CONVERGED {
             let Some(next) = phase.next() else { break };
             phase = next;
         }

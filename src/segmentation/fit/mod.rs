@@ -9,11 +9,13 @@ mod choose;
 mod cylinder;
 mod plane;
 mod sphere;
+mod sums;
 
-pub(super) use choose::{CAP, Candidates, choose, is_flat};
+pub(super) use choose::{choose, is_flat, settle, settle_model};
 pub(super) use cylinder::fit_cylinder;
-pub(super) use plane::{PlaneFit, PlaneStart, PlaneSums, fit_plane};
+pub(super) use plane::{PlaneFit, centroid_of, fit_plane, plane_of};
 pub(super) use sphere::fit_sphere;
+pub(super) use sums::{Columns, PlaneSums, Reference, place::ERROR as SUMMED_ERROR};
 
 use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, Unit, Vector3};
 
@@ -47,20 +49,12 @@ enum Phase {
 impl Phase {
     /// The phase of a round if the one before it had another at the latest.
     fn of(round: usize, rounds: usize, phase: Self) -> Self {
-        match phase {
-            Self::Start if round >= rounds / 2 => Self::Gated,
-            Self::Gated if round >= rounds => Self::Rays,
-            phase => phase,
-        }
+        if phase == Self::Start && round >= rounds / 2 { Self::Gated } else { phase }
     }
 
     /// The phase after one that has converged.
     fn next(self) -> Option<Self> {
-        match self {
-            Self::Start => Some(Self::Gated),
-            Self::Gated => Some(Self::Rays),
-            Self::Rays => None,
-        }
+        (self == Self::Start).then_some(Self::Gated)
     }
 
     /// Greatest error that counts.
@@ -73,14 +67,24 @@ impl Phase {
         if self == Self::Start { 1.0 } else { GATED_VARIANCE }
     }
 
-    /// Step through the readings: all of them count once there is a gate.
-    fn stride(self, readings: &Readings) -> usize {
-        if self == Self::Start { readings.len().div_ceil(START_READINGS).max(1) } else { 1 }
+    /// Step through the readings in a round. Along the rays some of them lead the way at first, too.
+    fn stride(self, round: usize, readings: &Readings) -> usize {
+        match self {
+            Self::Gated => 1,
+            Self::Rays if round >= THIN_RAY_ROUNDS => 1,
+            Self::Start | Self::Rays => readings.len().div_ceil(START_READINGS).max(1),
+        }
     }
 }
 
-/// Rounds along the rays, at most.
-const RAY_ROUNDS: usize = 3;
+/// Errors beyond this many standard deviations cost no more: the cost is that of an outlier.
+const CAP: f64 = 5.0;
+
+/// Rounds along the rays, at most, and how many of them some readings are enough for.
+const RAY_ROUNDS: usize = 4;
+const THIN_RAY_ROUNDS: usize = 2;
+/// Square of a step, in its standard deviations, after which there is no other.
+const CONVERGED: f64 = 1e-4;
 
 /// The readings of one region, gathered so that fits run over plain arrays.
 #[derive(Clone, Debug, Default)]
@@ -90,8 +94,8 @@ pub(super) struct Readings {
     pub rays: Vec<Vector3<f64>>,
     /// Standard deviation of each range in metres.
     pub sigmas: Vec<f64>,
-    /// Whether a reading is far from the region's border to another surface. Which region a border
-    /// reading belongs to was decided by its error, so it would bias a fit.
+    /// Whether a plane is fitted to the reading. Which region a reading at a border to another surface
+    /// belongs to was decided by its error, so it would bias a fit.
     pub core: Vec<bool>,
 }
 
@@ -113,6 +117,11 @@ impl Readings {
 
     pub fn len(&self) -> usize {
         self.points.len()
+    }
+
+    /// Ranges over their standard deviations.
+    fn gains(&self) -> impl Iterator<Item = f64> + '_ {
+        (0..self.len()).map(|i| self.points[i].dot(&self.rays[i]) / self.sigmas[i])
     }
 
     pub fn centroid(&self) -> Vector3<f64> {

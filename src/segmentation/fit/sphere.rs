@@ -1,6 +1,6 @@
 //! The sphere: an algebraic start, then Gauss-Newton on the distance.
 
-use super::{LEAST_COSINE, Model, Phase, RAY_ROUNDS, RIM_COSINE, Readings};
+use super::{CONVERGED, LEAST_COSINE, Model, Phase, RAY_ROUNDS, RIM_COSINE, Readings};
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 const ROUNDS: usize = 8;
@@ -18,18 +18,32 @@ impl SphereFit {
     }
 }
 
-/// Fits a sphere; `None` where the readings lie in a plane or the iteration leaves the region.
+/// Fits a sphere by errors across it; `None` where the readings lie in a plane or the iteration
+/// leaves the region.
 pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
-    let centroid = readings.centroid();
-    let (mut centre, mut radius_m) = algebraic(readings, &centroid)?;
+    let start = algebraic(readings, &readings.centroid())?;
+    refine(readings, start, Phase::Start, ROUNDS)
+}
+
+/// Settles a sphere that is nearly right by errors along the rays.
+pub(super) fn settle_sphere(readings: &Readings, start: (Vector3<f64>, f64)) -> Option<SphereFit> {
+    refine(readings, start, Phase::Rays, RAY_ROUNDS)
+}
+
+fn refine(
+    readings: &Readings,
+    (mut centre, mut radius_m): (Vector3<f64>, f64),
+    mut phase: Phase,
+    rounds: usize,
+) -> Option<SphereFit> {
     let mut fit = None;
-    let mut phase = Phase::Start;
-    for round in 0..ROUNDS + RAY_ROUNDS {
-        phase = Phase::of(round, ROUNDS, phase);
+    for round in 0..rounds {
+        phase = Phase::of(round, rounds, phase);
+        let stride = phase.stride(round, readings);
         let mut normal = Matrix4::<f64>::zeros();
         let mut right = Vector4::<f64>::zeros();
         let (mut square, mut count) = (0.0, 0.0);
-        for i in (0..readings.len()).step_by(phase.stride(readings)) {
+        for i in (0..readings.len()).step_by(stride) {
             let (point, ray, sigma) = (&readings.points[i], &readings.rays[i], readings.sigmas[i]);
             let (n, e, cosine) = if phase == Phase::Rays {
                 let Some((range, n)) = hit(&centre, radius_m, ray) else { continue };
@@ -66,8 +80,13 @@ pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
         let left = (square - right.dot(&correction)).max(0.0);
         let mean_square = left / ((count - 4.0_f64).max(1.0) * phase.variance());
         fit = Some(inverse * mean_square.max(1.0));
-        // A step of a hundredth of its standard deviation.
-        if right.dot(&correction) < 1e-4 * mean_square.max(1.0) {
+        let step = right.dot(&correction) / mean_square.max(1.0);
+        if phase == Phase::Rays {
+            // All readings had a say, and from within a deviation of the end one round leads to it.
+            if stride == 1 && step < 1.0 {
+                break;
+            }
+        } else if step < CONVERGED {
             let Some(next) = phase.next() else { break };
             phase = next;
         }
