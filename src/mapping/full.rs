@@ -36,8 +36,8 @@ const UNPROVEN: f64 = 9.0;
 const AGAINST_PER_CENT: f64 = 3.0;
 const TOLERATED_SHARE: f64 = 0.02;
 const MOST_AGAINST: f64 = 100.0;
-/// What it says against a pose that all wheels would be below a mapped floor, seen from the sensor.
-const SUNK: f64 = 20.0;
+/// What it says against a pose that all wheels would be within a mapped floor, or in the air above it.
+const GROUNDLESS: f64 = 20.0;
 /// Corrections that are looked at twice, whatever the odometry's noise allows, and how many pairs
 /// fewer another explanation may then have.
 const LARGE_M: f64 = 0.1;
@@ -324,11 +324,12 @@ fn judge(
         .map(|(prepared, assignment, log_prior)| {
             let pose = assignment.belief.world_from_robot;
             let covariance = assignment.belief.pose_covariance();
-            let variance = (0..3).map(|i| covariance[(i, i)]).fold(0.0, f64::max);
-            let against = estimate.contradiction(&pose, variance.sqrt(), scan);
+            let position = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+            let against = estimate.contradiction(&pose, &position, scan);
             let refuted = against.share();
-            let score =
-                assignment.support + log_prior - weight_of(refuted) - SUNK * against.sunk_share();
+            let score = assignment.support + log_prior
+                - weight_of(refuted)
+                - GROUNDLESS * against.groundless_share();
             let far = moves_far(predicted, &pose, FAR_M, FAR_RAD);
             Judged { prepared, assignment, score, refuted, far }
         })

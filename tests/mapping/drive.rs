@@ -39,15 +39,7 @@ impl<'a> Drive<'a> {
 
     /// Looks from where the robot stands.
     pub fn look(&mut self) -> UpdateReport {
-        self.look_at(|_| true)
-    }
-
-    /// Looks from where the robot stands, with a view that leaves out some of the rectangles.
-    pub fn look_at(&mut self, in_view: impl Fn(usize) -> bool) -> UpdateReport {
-        let (mut scan, mut planes) = self.world.observe(&self.truth, Some(&mut self.rng));
-        let mut kept = planes.iter().map(|&plane| in_view(plane));
-        scan.observations.retain(|_| kept.next() == Some(true));
-        planes.retain(|&plane| in_view(plane));
+        let (scan, planes) = self.world.observe(&self.truth, Some(&mut self.rng));
         let report = self.mapper.observe(&scan);
         for added in &report.added {
             self.behind.insert(added.landmark, planes[added.observation]);

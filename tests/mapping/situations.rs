@@ -185,29 +185,6 @@ fn a_floor_is_not_taken_for_the_first_tread_of_a_stair() {
     }
 }
 
-/// A scan close before a broad step shows its tread and no floor. The tread for the floor, the robot a
-/// step lower, would be a pair more; but the wheels would then be within the floor that was mapped.
-#[test]
-fn a_robot_does_not_sink_into_the_floor_it_stands_on() {
-    let mut world = World::default();
-    world.room((-6.0, 6.0), (-3.0, 3.0), 3.0);
-    let tread = world.rectangles.len();
-    world.level((4.0, 6.0), (-3.0, 3.0), 0.15, true);
-    for seed in 0..10 {
-        let mut drive = Drive::begin(&world, config(), step(-3.0, 0.0, 180.0), 80 + seed);
-        drive.look_at(|plane| plane != tread);
-        drive.slide(&step(0.0, 0.0, 180.0), &NO_ERROR);
-        drive.look_at(|plane| plane != tread);
-        // Told a little too high at the end of the way.
-        let told = Isometry3::translation(6.2, 0.0, 0.03);
-        drive.slide(&told, &Vector6::new(0.05, 0.03, -0.03, 0.0, 0.0, 0.01));
-        drive.look_at(|plane| plane >= 2);
-        let gap = drive.mapper.world_from_robot().translation.z - drive.truth.translation.z;
-        assert!(gap.abs() < 0.06, "seed {seed}: {gap}");
-        assert_eq!(drive.wrong, 0, "seed {seed}");
-    }
-}
-
 /// Shelf fronts 0.35 m behind each other: nearer than the greatest offset of a comparison.
 #[test]
 fn parallel_shelves_stay_apart() {

@@ -178,8 +178,9 @@ impl World {
         let mut seen: Vec<(Point2<f64>, f64)> = Vec::new();
         let steps = |half: f64| ((2.0 * half / 0.2).ceil() as i32).clamp(4, 40);
         let (nx, ny) = (steps(rectangle.half_x_m), steps(rectangle.half_y_m));
-        let cell =
-            (2.0 * rectangle.half_x_m / f64::from(nx)) * (2.0 * rectangle.half_y_m / f64::from(ny));
+        let pitch =
+            (2.0 * rectangle.half_x_m / f64::from(nx), 2.0 * rectangle.half_y_m / f64::from(ny));
+        let cell = pitch.0 * pitch.1;
         for i in 0..nx {
             for j in 0..ny {
                 let x = rectangle.half_x_m * ((2.0 * f64::from(i) + 1.0) / f64::from(nx) - 1.0);
@@ -204,13 +205,14 @@ impl World {
         if seen.len() < 4 || beams < 40.0 {
             return None;
         }
-        Self::fitted(rectangle, &seen, beams, robot_from_world)
+        Self::fitted(rectangle, &seen, pitch, beams, robot_from_world)
     }
 
     /// The observation that a least-squares fit of those points would give, without its noise.
     fn fitted(
         rectangle: &Rectangle,
         seen: &[(Point2<f64>, f64)],
+        pitch: (f64, f64),
         beams: f64,
         robot_from_world: &Isometry3<f64>,
     ) -> Option<Observation> {
@@ -225,8 +227,17 @@ impl World {
         let hull: Vec<Point2<f64>> =
             seen.iter().map(|(p, _)| (local.inverse() * Point3::new(p.x, p.y, 0.0)).xy()).collect();
         let mut mask = PlaneMask::default();
-        for p in &hull {
-            mask.insert(p);
+        // A real scan's mask has no holes between its beams.
+        let across = |pitch: f64| {
+            let steps = (pitch / 0.05).ceil();
+            (0..=steps as i32).map(move |k| pitch * (f64::from(k) / steps - 0.5))
+        };
+        for (p, _) in seen {
+            for dx in across(pitch.0) {
+                for dy in across(pitch.1) {
+                    mask.insert(&(local.inverse() * Point3::new(p.x + dx, p.y + dy, 0.0)).xy());
+                }
+            }
         }
         let hull = convex_hull(&hull);
         let variance = RANGE_SIGMA_M * RANGE_SIGMA_M;
