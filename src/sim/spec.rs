@@ -190,6 +190,10 @@ pub enum SensorKind {
     MissionTime,
     /// Objects that a fan of beams meets (UDK).
     ObjectSensor,
+    /// What is heard, and from where (UDK).
+    Acoustic,
+    /// What is heard (UT2004).
+    Sound,
 }
 
 impl SensorKind {
@@ -221,6 +225,8 @@ impl SensorKind {
             Self::AltitudeSensor => "AltitudeSensor",
             Self::MissionTime => "MissionTime",
             Self::ObjectSensor => "ObjectSensor",
+            Self::Acoustic => "Acoustic",
+            Self::Sound => "Sound",
         }
     }
 
@@ -253,12 +259,14 @@ impl SensorKind {
             | Self::Imu
             | Self::MagneticCompass
             | Self::AltitudeSensor
-            | Self::MissionTime => &["interval_s"],
+            | Self::MissionTime
+            | Self::Acoustic
+            | Self::Sound => &["interval_s"],
             Self::Battery => &[],
         }
     }
 
-    /// Whether a server of that dialect sends such lines; some kinds are of UDK alone.
+    /// Whether a server of that dialect sends such lines; some kinds are of one alone.
     pub(crate) fn speaks(self, dialect: Dialect) -> bool {
         let udk_alone = matches!(
             self,
@@ -269,8 +277,12 @@ impl SensorKind {
                 | Self::AltitudeSensor
                 | Self::MissionTime
                 | Self::ObjectSensor
+                | Self::Acoustic
         );
-        dialect == Dialect::Udk || !udk_alone
+        match dialect {
+            Dialect::Ut2004 => !udk_alone,
+            Dialect::Udk => self != Self::Sound,
+        }
     }
 }
 

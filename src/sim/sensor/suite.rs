@@ -2,7 +2,7 @@
 
 use super::contact::{Bumper, Camera, Receiver, Releaser};
 use super::{
-    Beam, Carrier, DepthCamera, Encoder, Gauge, Ins, IrScanner, MotionSensor, Mounting,
+    Beam, Carrier, DepthCamera, Ears, Encoder, Gauge, Ins, IrScanner, MotionSensor, Mounting,
     ObjectSensor, Odometry, Scanner, Sonar, Tachometer, TagMemory, TagReader, VictimSensor,
     WorldPose,
 };
@@ -64,6 +64,7 @@ pub(crate) enum Device {
     Motion(MotionSensor),
     Gauge(Gauge),
     Objects(ObjectSensor),
+    Ears(Ears),
     Depth(DepthCamera),
     Camera(Camera),
     Battery(Mounting),
@@ -89,6 +90,7 @@ impl Device {
             Self::Motion(it) => &it.mounting,
             Self::Gauge(it) => &it.mounting,
             Self::Objects(it) => &it.mounting,
+            Self::Ears(it) => &it.mounting,
             Self::Depth(it) => &it.mounting,
             Self::Camera(it) => &it.mounting,
             Self::Battery(mounting) => mounting,
@@ -144,7 +146,7 @@ pub(crate) struct Suite {
 
 /// The types of a burst in the order of a real recording; touch, which it lacks, after the encoders,
 /// and infrared after its likes.
-const BURST_ORDER: [SensorKind; 15] = [
+const BURST_ORDER: [SensorKind; 16] = [
     SensorKind::Sonar,
     SensorKind::Range,
     SensorKind::Ir,
@@ -157,6 +159,7 @@ const BURST_ORDER: [SensorKind; 15] = [
     SensorKind::Touch,
     SensorKind::Rfid,
     SensorKind::VictSensor,
+    SensorKind::Sound,
     SensorKind::GroundTruth,
     SensorKind::Gps,
     SensorKind::Tachometer,
@@ -313,6 +316,7 @@ pub(crate) fn default_interval_s(kind: SensorKind) -> f64 {
             0.2
         }
         SensorKind::ObjectSensor => 0.5,
+        SensorKind::Acoustic => 1.0,
         _ => 0.1,
     }
 }
@@ -343,6 +347,7 @@ fn device(
         SensorKind::AltitudeSensor | SensorKind::MagneticCompass | SensorKind::MissionTime => {
             Device::Gauge(Gauge::new(spec, carrier, now))
         }
+        SensorKind::Acoustic | SensorKind::Sound => Device::Ears(Ears::new(spec, carrier, now)),
         SensorKind::ObjectSensor => Device::Objects(ObjectSensor::new(spec, units)),
         SensorKind::Odometry => {
             Device::Odometry(Odometry::new(spec, units, dialect, noise, source))
@@ -401,6 +406,12 @@ impl Item {
                 SensorKind::MagneticCompass => Sen::Compass(gauge.compass(carrier, *stamp)),
                 _ => Sen::MissionTime(gauge.minutes(instant.now, *stamp)),
             },
+            Device::Ears(ears) if self.kind == SensorKind::Sound => {
+                Sen::Sound(ears.sound(carrier, surroundings, instant.now)?)
+            }
+            Device::Ears(ears) => {
+                Sen::Acoustic(ears.acoustic(carrier, surroundings, instant.now, *stamp))
+            }
             Device::Objects(sensor) => Sen::ObjectSensor(sensor.read(carrier, surroundings)),
             Device::Odometry(odometry) => {
                 odometry.update(carrier, instant.odometry_scale);

@@ -50,10 +50,11 @@ pub(super) fn apply(
             let params = params.as_deref().unwrap_or_default();
             let kind = set.type_name.to_ascii_lowercase();
             match (kind.as_str(), opcode.to_ascii_lowercase().as_str()) {
-                ("rangescanner" | "irscanner" | "objectsensor", "scan") => {
+                ("rangescanner" | "irscanner" | "objectsensor" | "acoustic", "scan") => {
                     let kind = match kind.as_str() {
                         "rangescanner" => SensorKind::RangeScanner,
                         "irscanner" => SensorKind::IrScanner,
+                        "acoustic" => SensorKind::Acoustic,
                         _ => SensorKind::ObjectSensor,
                     };
                     let stamp = robot.stamp(stage.now);

@@ -5,6 +5,7 @@ use crate::sim::map_file::MapFile;
 
 mod faults;
 mod gauges;
+mod hearing;
 mod rangers;
 mod station;
 mod udk;
