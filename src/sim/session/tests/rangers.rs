@@ -123,8 +123,10 @@ fn a_scan_is_cast_by_the_scanners_of_the_type_that_was_named() {
     client.send("INIT {ClassName USARBot.P3AT} {Name R1} {Start StartA}");
     client.run(1.0);
     assert!(client.of_type("IRScanner").is_empty(), "nobody asked yet");
+    client.session.take_casts(client.id);
     client.send("SET {Type IRScanner} {Opcode Scan}");
     client.run(1.0);
+    assert!(client.session.take_casts(client.id).is_empty(), "no laser line was cast");
     assert_eq!([client.of_type("IRScanner").len(), client.of_type("RangeScanner").len()], [1, 0]);
     client.send("SET {Type RangeScanner} {Name Laser} {Opcode Scan}");
     client.run(1.0);
