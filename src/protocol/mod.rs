@@ -58,6 +58,7 @@ mod wire;
 pub use command::{Command, ParsedCommand, encode_command, parse_command};
 pub use dialect::Dialect;
 pub use message::{Message, Parsed, encode_message, parse};
+pub(crate) use number::engine_number;
 pub use problem::{Problem, ProblemKind};
 pub use raw::{RawLine, Segment};
 pub use splitter::{Framed, LineSplitter, MAX_LINE_OCTETS};

@@ -99,7 +99,7 @@ pub(super) fn integer(wire: &[u8]) -> Option<i64> {
 /// What the engine makes of a number typed by a client: the longest number at the front, or 0.
 ///
 /// A decimal comma ends the number, so `1,00` is 1 (protocol document 1.6).
-pub(super) fn engine_number(wire: &[u8]) -> f64 {
+pub(crate) fn engine_number(wire: &[u8]) -> f64 {
     decimal(super::text::trim(wire)).map_or(0.0, |(_, value)| value)
 }
 

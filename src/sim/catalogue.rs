@@ -122,6 +122,7 @@ impl RobotClass {
         }
         for sensor in &self.sensor {
             sensor.check(check, &owner);
+            sensor.check_dialect(self.dialect, check, &owner);
         }
     }
 

@@ -14,7 +14,7 @@ pub const STEP_NANOS: i64 = 5_000_000;
 /// Length of one physics step in seconds.
 pub const STEP_S: f64 = 0.005;
 
-const GRAVITY_MPS2: f64 = 9.81;
+pub(crate) const GRAVITY_MPS2: f64 = 9.81;
 
 /// Identifies a robot in one session; never used twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

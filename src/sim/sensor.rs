@@ -3,20 +3,30 @@
 //! Every number leaves its sensor on the wire's decimal grid, truncated or rounded as servers do;
 //! the writer only formats.
 
+mod beam;
 mod contact;
 mod depth;
+mod gauge;
+mod hearing;
 mod inertial;
+mod motion;
+mod objects;
 mod ranging;
 mod rescue;
 mod suite;
 mod wheels;
 
+pub(crate) use beam::{Beam, IrScanner};
 pub(crate) use contact::Camera;
 pub(crate) use depth::DepthCamera;
+pub(crate) use gauge::Gauge;
+pub(crate) use hearing::Ears;
 pub(crate) use inertial::{Ins, WorldPose};
+pub(crate) use motion::MotionSensor;
+pub(crate) use objects::ObjectSensor;
 pub(crate) use ranging::{Scanner, Sonar, UDK_CONES, UDK_MAX_INCIDENCE_RAD, UDK_TRACES};
 pub(crate) use rescue::{TagMemory, TagReader, VictimSensor};
-pub(crate) use suite::{Device, Instant, Item, Suite, Timer};
+pub(crate) use suite::{Device, Instant, Item, Suite, Timer, default_interval_s};
 pub(crate) use wheels::{Encoder, Odometry, Tachometer};
 
 use super::catalogue::RobotClass;

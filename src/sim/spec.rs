@@ -4,6 +4,7 @@
 //! come from the robot's class. Core frame: x forward, y left, z up, from the robot's origin.
 
 use super::file_check::Check;
+use crate::protocol::Dialect;
 use serde::{Deserialize, Serialize};
 
 /// A box that belongs to a robot's body: seen by others' sensors, felt in contacts.
@@ -166,6 +167,33 @@ pub enum SensorKind {
     Camera,
     /// The battery's case (UDK): it can be asked where it is and says nothing by itself.
     Battery,
+    /// Infrared ranger of one ray.
+    #[serde(rename = "IR")]
+    Ir,
+    /// Plain ranger of one ray.
+    Range,
+    /// Infrared scanner.
+    #[serde(rename = "IRScanner")]
+    IrScanner,
+    /// Acceleration without gravity (UDK).
+    Accel,
+    /// Acceleration with gravity (UDK).
+    AcceleroMeter,
+    /// Accelerations, rates and attitude (UDK).
+    #[serde(rename = "IMU")]
+    Imu,
+    /// Heading against north, lost in the server's conversion (UDK).
+    MagneticCompass,
+    /// Height above the spawn (UDK).
+    AltitudeSensor,
+    /// Minutes since the spawn (UDK).
+    MissionTime,
+    /// Objects that a fan of beams meets (UDK).
+    ObjectSensor,
+    /// What is heard, and from where (UDK).
+    Acoustic,
+    /// What is heard (UT2004).
+    Sound,
 }
 
 impl SensorKind {
@@ -187,6 +215,18 @@ impl SensorKind {
             Self::RangeImager => "RangeImager",
             Self::Camera => "Camera",
             Self::Battery => "Battery",
+            Self::Ir => "IR",
+            Self::Range => "Range",
+            Self::IrScanner => "IRScanner",
+            Self::Accel => "Accel",
+            Self::AcceleroMeter => "AcceleroMeter",
+            Self::Imu => "IMU",
+            Self::MagneticCompass => "MagneticCompass",
+            Self::AltitudeSensor => "AltitudeSensor",
+            Self::MissionTime => "MissionTime",
+            Self::ObjectSensor => "ObjectSensor",
+            Self::Acoustic => "Acoustic",
+            Self::Sound => "Sound",
         }
     }
 
@@ -206,8 +246,42 @@ impl SensorKind {
             Self::Gps => &["satellites", "interval_s"],
             Self::RangeImager => &["max_range_m", "width", "height", "fov_deg", "interval_s"],
             Self::Camera => &["fov_deg", "min_fov_deg", "max_fov_deg", "width", "height"],
-            Self::Ins | Self::GroundTruth | Self::Tachometer => &["interval_s"],
+            Self::Ir | Self::Range => &["min_range_m", "max_range_m", "interval_s"],
+            Self::IrScanner => {
+                &["min_range_m", "max_range_m", "fov_deg", "resolution_deg", "yaw", "interval_s"]
+            }
+            Self::ObjectSensor => &["max_range_m", "fov_deg", "resolution_deg", "interval_s"],
+            Self::Ins
+            | Self::GroundTruth
+            | Self::Tachometer
+            | Self::Accel
+            | Self::AcceleroMeter
+            | Self::Imu
+            | Self::MagneticCompass
+            | Self::AltitudeSensor
+            | Self::MissionTime
+            | Self::Acoustic
+            | Self::Sound => &["interval_s"],
             Self::Battery => &[],
+        }
+    }
+
+    /// Whether a server of that dialect sends such lines; some kinds are of one alone.
+    pub(crate) fn speaks(self, dialect: Dialect) -> bool {
+        let udk_alone = matches!(
+            self,
+            Self::Accel
+                | Self::AcceleroMeter
+                | Self::Imu
+                | Self::MagneticCompass
+                | Self::AltitudeSensor
+                | Self::MissionTime
+                | Self::ObjectSensor
+                | Self::Acoustic
+        );
+        match dialect {
+            Dialect::Ut2004 => !udk_alone,
+            Dialect::Udk => self != Self::Sound,
         }
     }
 }
@@ -238,6 +312,8 @@ pub struct SensorSpec {
     pub fov_deg: Option<f64>,
     /// Angle between a scanner's beams in degrees.
     pub resolution_deg: Option<f64>,
+    /// Whether an infrared scanner's beams are spread at all; as a server comes they are not.
+    pub yaw: Option<bool>,
     /// Whole opening of a sonar's cone in degrees.
     pub beam_deg: Option<f64>,
     /// Seconds between readings; UT2004 sensors without it report in every burst.
@@ -298,6 +374,7 @@ impl SensorSpec {
             ("locations", self.locations.is_some()),
             ("always_read_memory", self.always_read_memory.is_some()),
             ("tags", self.tags.is_some()),
+            ("yaw", self.yaw.is_some()),
             ("satellites", self.satellites.is_some()),
         ];
         let given = numbers.iter().map(|(key, value)| (*key, value.is_some())).chain(flags);
@@ -316,13 +393,24 @@ impl SensorSpec {
             let values: Vec<f64> = value.into_iter().collect();
             check.positive(&values, format_args!("{place} {key}"));
         }
-        if self.kind == SensorKind::RangeScanner {
+        if [SensorKind::RangeScanner, SensorKind::IrScanner, SensorKind::ObjectSensor]
+            .contains(&self.kind)
+        {
             check.that(
                 self.beams() <= 4096,
                 &place,
                 format_args!("expected at most 4096 beams, found {}", self.beams()),
             );
         }
+    }
+
+    /// Refuses a kind that servers of the robot's dialect do not have.
+    pub(crate) fn check_dialect(&self, dialect: Dialect, check: &mut Check, owner: &str) {
+        check.that(
+            self.kind.speaks(dialect),
+            format_args!("{owner} sensor {:?}", self.name),
+            format_args!("expected a type of that dialect, found {}", self.kind.name()),
+        );
     }
 
     /// How many beams a scanner has: one at each end of its fan.

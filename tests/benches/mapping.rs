@@ -25,8 +25,11 @@ fn normal(rng: &mut Pcg64) -> f64 {
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
-/// The faces of a room and of a box in it: centre within the room, normal, half sizes.
-fn faces(room: usize) -> Vec<([f64; 3], Vector3<f64>, (f64, f64))> {
+/// Centre within the room, normal, half sizes.
+type Face = ([f64; 3], Vector3<f64>, (f64, f64));
+
+/// The faces of a room and of a box in it.
+fn faces(room: usize) -> Vec<Face> {
     let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
     let half = 0.5 * ROOM_M - 0.1;
     // The box stands elsewhere in each room.

@@ -58,6 +58,7 @@ impl RobotSpec {
         }
         model.sensor.extend(self.sensors.iter().cloned());
         for sensor in &model.sensor {
+            sensor.check_dialect(class.dialect, check, &format!("robot {:?}", self.name));
             check.that(
                 mountable(sensor, &model.pan_tilt),
                 format_args!("robot {:?} sensor {:?} mount", self.name, sensor.name),

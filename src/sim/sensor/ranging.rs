@@ -15,14 +15,14 @@ use std::f64::consts::TAU;
 
 /// Errors of measured distances.
 #[derive(Clone, Debug)]
-struct RangeNoise {
+pub(super) struct RangeNoise {
     relative: f64,
     sigma_m: f64,
     source: Noise,
 }
 
 impl RangeNoise {
-    fn new(spec: &NoiseSpec, dialect: Dialect, source: Noise) -> Self {
+    pub(super) fn new(spec: &NoiseSpec, dialect: Dialect, source: Noise) -> Self {
         let by_dialect = match dialect {
             Dialect::Ut2004 => 0.001,
             Dialect::Udk => 0.0,
@@ -34,7 +34,7 @@ impl RangeNoise {
         }
     }
 
-    fn apply(&mut self, range_m: f64) -> f64 {
+    pub(super) fn apply(&mut self, range_m: f64) -> f64 {
         let mut noisy = range_m;
         if self.relative > 0.0 {
             noisy *= 1.0 + self.source.symmetric(self.relative);
@@ -54,7 +54,6 @@ pub(crate) struct Scanner {
     pub(crate) max_range_m: f64,
     pub(crate) fov_rad: f64,
     pub(crate) resolution_rad: f64,
-    beams: usize,
     dialect: Dialect,
     noise: RangeNoise,
     bearings: Vec<f64>,
@@ -68,36 +67,17 @@ impl Scanner {
         noise: &NoiseSpec,
         source: Noise,
     ) -> Self {
-        let mut scanner = Self {
+        let fov_rad = spec.fov_deg.unwrap_or(180.0).to_radians();
+        let resolution_rad = spec.resolution_deg.unwrap_or(1.0).to_radians();
+        Self {
             mounting: Mounting::new(spec, units),
             min_range_m: spec.min_range_m.unwrap_or(0.1),
             max_range_m: spec.max_range_m.unwrap_or(20.0),
-            fov_rad: spec.fov_deg.unwrap_or(180.0).to_radians(),
-            resolution_rad: spec.resolution_deg.unwrap_or(1.0).to_radians(),
-            beams: spec.beams(),
+            fov_rad,
+            resolution_rad,
             dialect,
             noise: RangeNoise::new(noise, dialect, source),
-            bearings: Vec::new(),
-        };
-        scanner.bearings = scanner.bearings_rad();
-        scanner
-    }
-
-    /// Bearings of all beams in the core's sense, left positive, from right to left.
-    fn bearings_rad(&self) -> Vec<f64> {
-        match self.dialect {
-            Dialect::Ut2004 => {
-                let steps = (self.beams - 1).max(1) as f64;
-                (0..self.beams).map(|beam| self.fov_rad * (beam as f64 / steps - 0.5)).collect()
-            }
-            Dialect::Udk => {
-                // Whole Unreal units: from half the field of view down by the resolution.
-                let [fov, step] =
-                    [self.fov_rad, self.resolution_rad].map(|a| (a / TAU * 65_536.0).trunc());
-                let first = (fov / 2.0).floor();
-                let count = ((first + fov / 2.0) / step).floor() as usize + 1;
-                (0..count).map(|beam| wire::units_rad(beam as f64 * step - first)).collect()
-            }
+            bearings: bearings_rad(dialect, fov_rad, resolution_rad, spec.beams()),
         }
     }
 
@@ -145,6 +125,28 @@ impl Scanner {
                 let range = range_m.unwrap_or_else(|| origin.coords.norm());
                 wire::truncate(self.noise.apply(range), 2)
             }
+        }
+    }
+}
+
+/// Bearings of all beams of a fan in the core's sense, left positive, from right to left.
+pub(super) fn bearings_rad(
+    dialect: Dialect,
+    fov_rad: f64,
+    resolution_rad: f64,
+    beams: usize,
+) -> Vec<f64> {
+    match dialect {
+        Dialect::Ut2004 => {
+            let steps = (beams - 1).max(1) as f64;
+            (0..beams).map(|beam| fov_rad * (beam as f64 / steps - 0.5)).collect()
+        }
+        Dialect::Udk => {
+            // Whole Unreal units: from half the field of view down by the resolution.
+            let [fov, step] = [fov_rad, resolution_rad].map(|a| (a / TAU * 65_536.0).trunc());
+            let first = (fov / 2.0).floor();
+            let count = ((first + fov / 2.0) / step).floor() as usize + 1;
+            (0..count).map(|beam| wire::units_rad(beam as f64 * step - first)).collect()
         }
     }
 }

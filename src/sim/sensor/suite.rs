@@ -2,8 +2,9 @@
 
 use super::contact::{Bumper, Camera, Receiver, Releaser};
 use super::{
-    Carrier, DepthCamera, Encoder, Ins, Mounting, Odometry, Scanner, Sonar, Tachometer, TagMemory,
-    TagReader, VictimSensor, WorldPose,
+    Beam, Carrier, DepthCamera, Ears, Encoder, Gauge, Ins, IrScanner, MotionSensor, Mounting,
+    ObjectSensor, Odometry, Scanner, Sonar, Tachometer, TagMemory, TagReader, VictimSensor,
+    WorldPose,
 };
 use crate::protocol::message::sen::{self, RangeReading, RangeReadings, RangeScanner, Sen};
 use crate::protocol::{Dialect, Message};
@@ -48,6 +49,8 @@ impl Timer {
 pub(crate) enum Device {
     Scanner(Scanner),
     Sonar(Sonar),
+    Beam(Beam),
+    IrScanner(IrScanner),
     Odometry(Odometry),
     Encoder(Encoder),
     Ins(Ins),
@@ -58,6 +61,10 @@ pub(crate) enum Device {
     Truth(WorldPose),
     Receiver(Receiver),
     Tachometer(Tachometer),
+    Motion(MotionSensor),
+    Gauge(Gauge),
+    Objects(ObjectSensor),
+    Ears(Ears),
     Depth(DepthCamera),
     Camera(Camera),
     Battery(Mounting),
@@ -68,6 +75,8 @@ impl Device {
         match self {
             Self::Scanner(it) => &it.mounting,
             Self::Sonar(it) => &it.mounting,
+            Self::Beam(it) => &it.mounting,
+            Self::IrScanner(it) => &it.beam.mounting,
             Self::Odometry(it) => &it.mounting,
             Self::Encoder(it) => &it.mounting,
             Self::Ins(it) => &it.mounting,
@@ -78,6 +87,10 @@ impl Device {
             Self::Truth(it) => &it.mounting,
             Self::Receiver(it) => &it.mounting,
             Self::Tachometer(it) => &it.mounting,
+            Self::Motion(it) => &it.mounting,
+            Self::Gauge(it) => &it.mounting,
+            Self::Objects(it) => &it.mounting,
+            Self::Ears(it) => &it.mounting,
             Self::Depth(it) => &it.mounting,
             Self::Camera(it) => &it.mounting,
             Self::Battery(mounting) => mounting,
@@ -131,10 +144,14 @@ pub(crate) struct Suite {
     bursts: u64,
 }
 
-/// The types of a burst in the order of a real recording; touch, which it lacks, after the encoders.
-const BURST_ORDER: [SensorKind; 12] = [
+/// The types of a burst in the order of a real recording; touch, which it lacks, after the encoders,
+/// and infrared after its likes.
+const BURST_ORDER: [SensorKind; 16] = [
     SensorKind::Sonar,
+    SensorKind::Range,
+    SensorKind::Ir,
     SensorKind::RangeScanner,
+    SensorKind::IrScanner,
     SensorKind::RangeImager,
     SensorKind::Ins,
     SensorKind::Odometry,
@@ -142,6 +159,7 @@ const BURST_ORDER: [SensorKind; 12] = [
     SensorKind::Touch,
     SensorKind::Rfid,
     SensorKind::VictSensor,
+    SensorKind::Sound,
     SensorKind::GroundTruth,
     SensorKind::Gps,
     SensorKind::Tachometer,
@@ -179,7 +197,7 @@ impl Suite {
                 };
                 Item {
                     kind: spec.kind,
-                    device: device(spec, carrier, dialect, noise, source),
+                    device: device(spec, carrier, dialect, noise, source, now),
                     interval_s: spec.interval_s,
                     timer,
                     waiting: None,
@@ -251,18 +269,25 @@ impl Suite {
         lines
     }
 
-    /// A line of the scanner `name` (all if empty) at once, as `SET … Scan` asks for.
-    pub(crate) fn scan_now(&mut self, name: &str, instant: &Instant<'_>) -> Vec<Message> {
+    /// A line of the scanner of `kind` and `name` (all if empty) at once, as `SET … Scan` asks for.
+    pub(crate) fn scan_now(
+        &mut self,
+        kind: SensorKind,
+        name: &str,
+        instant: &Instant<'_>,
+    ) -> Vec<Message> {
         let mut lines = Vec::new();
         for item in &mut self.items {
-            if instant.silent(item) {
+            let own = &item.device.mounting().name;
+            let meant = name.is_empty() || own.eq_ignore_ascii_case(name);
+            if item.kind != kind || !meant || instant.silent(item) {
                 continue;
             }
-            if let Device::Scanner(scanner) = &mut item.device
-                && (name.is_empty() || scanner.mounting.name.eq_ignore_ascii_case(name))
-            {
+            if let Device::Scanner(scanner) = &mut item.device {
                 let line = scanner.cast(&instant.carrier, &instant.surroundings, instant.stamp);
                 lines.push(Message::Sen(Sen::RangeScanner(line)));
+            } else {
+                lines.extend(item.read(instant, self.dialect));
             }
         }
         lines
@@ -285,11 +310,13 @@ impl Suite {
 }
 
 /// Seconds between the lines of a UDK sensor that no file gives (protocol document 6.1).
-fn default_interval_s(kind: SensorKind) -> f64 {
+pub(crate) fn default_interval_s(kind: SensorKind) -> f64 {
     match kind {
         SensorKind::RangeScanner | SensorKind::Ins | SensorKind::Tachometer | SensorKind::Sonar => {
             0.2
         }
+        SensorKind::ObjectSensor => 0.5,
+        SensorKind::Acoustic => 1.0,
         _ => 0.1,
     }
 }
@@ -300,6 +327,7 @@ fn device(
     dialect: Dialect,
     noise: &NoiseSpec,
     source: Noise,
+    now: Stamp,
 ) -> Device {
     let units = carrier.units;
     match spec.kind {
@@ -307,6 +335,20 @@ fn device(
             Device::Scanner(Scanner::new(spec, units, dialect, noise, source))
         }
         SensorKind::Sonar => Device::Sonar(Sonar::new(spec, units, dialect, noise, source)),
+        SensorKind::Ir | SensorKind::Range => {
+            Device::Beam(Beam::new(spec, units, dialect, noise, source))
+        }
+        SensorKind::IrScanner => {
+            Device::IrScanner(IrScanner::new(spec, units, dialect, noise, source))
+        }
+        SensorKind::Accel | SensorKind::AcceleroMeter | SensorKind::Imu => {
+            Device::Motion(MotionSensor::new(spec, carrier, now))
+        }
+        SensorKind::AltitudeSensor | SensorKind::MagneticCompass | SensorKind::MissionTime => {
+            Device::Gauge(Gauge::new(spec, carrier, now))
+        }
+        SensorKind::Acoustic | SensorKind::Sound => Device::Ears(Ears::new(spec, carrier, now)),
+        SensorKind::ObjectSensor => Device::Objects(ObjectSensor::new(spec, units)),
         SensorKind::Odometry => {
             Device::Odometry(Odometry::new(spec, units, dialect, noise, source))
         }
@@ -341,6 +383,36 @@ impl Item {
                 }],
                 extra: Vec::new(),
             }),
+            Device::Beam(beam) => {
+                let line = RangeReadings {
+                    time: Some(*stamp),
+                    readings: vec![beam.read(carrier, surroundings)],
+                    extra: Vec::new(),
+                };
+                if self.kind == SensorKind::Ir { Sen::Ir(line) } else { Sen::Range(line) }
+            }
+            Device::IrScanner(scanner) => {
+                Sen::IrScanner(scanner.cast(carrier, surroundings, *stamp))
+            }
+            Device::Motion(motion) if self.kind == SensorKind::Imu => {
+                Sen::Imu(motion.inertial(carrier, instant.now, *stamp))
+            }
+            Device::Motion(motion) => {
+                let proper = self.kind == SensorKind::AcceleroMeter;
+                Sen::Acceleration(motion.acceleration(carrier, proper, instant.now, *stamp))
+            }
+            Device::Gauge(gauge) => match self.kind {
+                SensorKind::AltitudeSensor => Sen::Altitude(gauge.altitude(carrier, *stamp)),
+                SensorKind::MagneticCompass => Sen::Compass(gauge.compass(carrier, *stamp)),
+                _ => Sen::MissionTime(gauge.minutes(instant.now, *stamp)),
+            },
+            Device::Ears(ears) if self.kind == SensorKind::Sound => {
+                Sen::Sound(ears.sound(carrier, surroundings, instant.now)?)
+            }
+            Device::Ears(ears) => {
+                Sen::Acoustic(ears.acoustic(carrier, surroundings, instant.now, *stamp))
+            }
+            Device::Objects(sensor) => Sen::ObjectSensor(sensor.read(carrier, surroundings)),
             Device::Odometry(odometry) => {
                 odometry.update(carrier, instant.odometry_scale);
                 Sen::Odometry(odometry.read(udk_time))
@@ -380,7 +452,9 @@ fn grouped(lines: Vec<Message>) -> Vec<Message> {
     let mut grouped: Vec<Message> = Vec::new();
     for line in lines {
         match (grouped.last_mut(), line) {
-            (Some(Message::Sen(Sen::Sonar(all))), Message::Sen(Sen::Sonar(one))) => {
+            (Some(Message::Sen(Sen::Sonar(all))), Message::Sen(Sen::Sonar(one)))
+            | (Some(Message::Sen(Sen::Range(all))), Message::Sen(Sen::Range(one)))
+            | (Some(Message::Sen(Sen::Ir(all))), Message::Sen(Sen::Ir(one))) => {
                 all.readings.extend(one.readings);
             }
             (Some(Message::Sen(Sen::Encoder(all))), Message::Sen(Sen::Encoder(one))) => {

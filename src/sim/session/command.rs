@@ -2,7 +2,7 @@
 
 use super::connection::{ConnectionId, Question};
 use super::robot::{Birth, Robot, Stage};
-use super::{MOST_ROBOTS, Planned, Session, setting};
+use super::{MOST_ROBOTS, Planned, Session, is_laser, setting};
 use crate::protocol::command::{CameraCommand, Init, MisPkgForm, Order};
 use crate::protocol::message::Nfo;
 use crate::protocol::{Command, Dialect, Message, NamedPose, WirePose};
@@ -95,7 +95,7 @@ impl Session {
         let stage = Stage { world: &self.world, bodies: &bodies, now };
         let outcome = setting::apply(robot, set, &mut self.tags, &stage);
         let stamp = robot.stamp(now);
-        if !outcome.lines.is_empty() {
+        if outcome.lines.iter().any(is_laser) {
             robot.note_casts(stamp, now);
         }
         let dialect = robot.dialect;

@@ -11,7 +11,7 @@ use crate::protocol::message::{
 use crate::protocol::{Dialect, Message, WirePose};
 use crate::sim::pan_tilt::{Joint, PanTilt};
 use crate::sim::sensor::{
-    Device, Item, Mount, Mounting, UDK_CONES, UDK_MAX_INCIDENCE_RAD, UDK_TRACES,
+    Device, Item, Mount, Mounting, UDK_CONES, UDK_MAX_INCIDENCE_RAD, UDK_TRACES, default_interval_s,
 };
 use crate::sim::spec::SensorKind;
 use crate::sim::wire;
@@ -241,6 +241,13 @@ pub(super) fn conf(robot: &Robot, query: &Query) -> Option<Message> {
             let sonar = |item: &Item| sonar_conf(item, udk);
             answer(udk, name, collect(&items, sonar), query, Conf::Sonar)
         }
+        SensorKind::Ir | SensorKind::Range => {
+            let beam = |item: &Item| beam_conf(item, udk);
+            answer(udk, name, collect(&items, beam), query, Conf::Sonar)
+        }
+        SensorKind::IrScanner => {
+            answer(udk, name, collect(&items, ir_scanner_conf), query, Conf::RangeScanner)
+        }
         SensorKind::VictSensor => {
             answer(udk, name, collect(&items, victims_conf), query, Conf::VictSensor)
         }
@@ -373,6 +380,32 @@ fn sonar_conf(item: &Item, udk: bool) -> Option<SonarConf> {
     Some(conf)
 }
 
+fn beam_conf(item: &Item, udk: bool) -> Option<SonarConf> {
+    let Device::Beam(beam) = &item.device else { return None };
+    Some(SonarConf {
+        name: beam.mounting.name.clone(),
+        max_range_m: Some(cut4(beam.max_range_m)),
+        min_range_m: Some(cut4(beam.min_range_m)),
+        scan_interval_s: udk
+            .then(|| cut4(item.interval_s.unwrap_or(default_interval_s(item.kind)))),
+        ..SonarConf::default()
+    })
+}
+
+fn ir_scanner_conf(item: &Item) -> Option<RangeScannerConf> {
+    let Device::IrScanner(scanner) = &item.device else { return None };
+    Some(RangeScannerConf {
+        name: scanner.beam.mounting.name.clone(),
+        max_range_m: Some(cut4(scanner.beam.max_range_m)),
+        min_range_m: Some(cut4(scanner.beam.min_range_m)),
+        resolution_rad: Some(wire::angle(scanner.resolution_rad)),
+        fov_rad: Some(wire::angle(scanner.fov_rad)),
+        panning: Some(scanner.yaw),
+        tilting: Some(false),
+        extra: Vec::new(),
+    })
+}
+
 fn victims_conf(item: &Item) -> Option<VictSensorConf> {
     let Device::Victims(sensor) = &item.device else { return None };
     let fov_rad = Some(wire::truncate(sensor.fov_rad, 4));
@@ -419,7 +452,7 @@ fn item_conf(item: &Item, dialect: Dialect) -> ItemConf {
     let mut conf = ItemConf { name: item.device.mounting().name.clone(), ..ItemConf::default() };
     let interval = item.interval_s.unwrap_or(match dialect {
         Dialect::Ut2004 => 0.2,
-        Dialect::Udk => 0.1,
+        Dialect::Udk => default_interval_s(item.kind),
     });
     match &item.device {
         Device::Encoder(encoder) => conf.resolution_rad = Some(cut4(encoder.resolution_rad)),

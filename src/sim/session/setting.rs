@@ -3,7 +3,7 @@
 use super::robot::{Robot, Stage};
 use crate::protocol::command::{Order, Set, SetForm};
 use crate::protocol::message::{CameraResult, Res, SetResult};
-use crate::protocol::{Dialect, Message, WirePose};
+use crate::protocol::{Dialect, Message, WirePose, engine_number};
 use crate::sim::sensor::{Device, TagMemory};
 use crate::sim::spec::SensorKind;
 use crate::sim::wire;
@@ -50,10 +50,17 @@ pub(super) fn apply(
             let params = params.as_deref().unwrap_or_default();
             let kind = set.type_name.to_ascii_lowercase();
             match (kind.as_str(), opcode.to_ascii_lowercase().as_str()) {
-                ("rangescanner" | "irscanner", "scan") => {
+                ("rangescanner" | "irscanner" | "objectsensor" | "acoustic", "scan") => {
+                    let kind = match kind.as_str() {
+                        "rangescanner" => SensorKind::RangeScanner,
+                        "irscanner" => SensorKind::IrScanner,
+                        "acoustic" => SensorKind::Acoustic,
+                        _ => SensorKind::ObjectSensor,
+                    };
                     let stamp = robot.stamp(stage.now);
-                    lines = robot
-                        .sense(stage, tags, stamp, |suite, instant| suite.scan_now(name, instant));
+                    lines = robot.sense(stage, tags, stamp, |suite, instant| {
+                        suite.scan_now(kind, name, instant)
+                    });
                     item(name, !lines.is_empty())
                 }
                 ("rangeimager", "scan") => item(name, start_imaging(robot, name)),
@@ -85,8 +92,9 @@ pub(super) fn apply(
     Outcome { result, lines }
 }
 
+/// A number as the engine reads it: words such as `nan` are 0, and no infinity gets in.
 fn number(text: &str) -> f64 {
-    text.trim().parse().unwrap_or(0.0)
+    Some(engine_number(text.trim().as_bytes())).filter(|value| value.is_finite()).unwrap_or(0.0)
 }
 
 /// Lets the named depth camera, or all, send an image.

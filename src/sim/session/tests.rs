@@ -4,6 +4,9 @@ use crate::protocol::{Framed, LineSplitter, parse};
 use crate::sim::map_file::MapFile;
 
 mod faults;
+mod gauges;
+mod hearing;
+mod rangers;
 mod station;
 mod udk;
 mod ut2004;

@@ -206,7 +206,8 @@ fn questions_sent_at_once_are_all_answered() {
 #[test]
 fn normalized_sticks_and_one_side_alone_is_ignored() {
     let mut client = udk("");
-    client.send("DRIVE {Left 100} {Right 100} {Normalized true}");
+    // The server takes lower case alone; teams send both, and here both are taken.
+    client.send("DRIVE {Left 100} {Right 100} {Normalized True}");
     client.run(1.0);
     let full = client.truth().speed_mps;
     assert!((full - 0.1274).abs() < 0.005, "{full}");

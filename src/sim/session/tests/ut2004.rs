@@ -452,3 +452,19 @@ fn a_world_controller_moves_robots_and_hears_nothing_unasked() {
     assert!(state.contains("{Location -0.0") || state.contains("{Location 0.0"), "{state}");
     assert_eq!(say(&mut client, "CONTROL {Type GetSTA} {Name R7}"), "");
 }
+
+#[test]
+fn words_for_numbers_count_as_zero_and_never_reach_the_wire() {
+    let mut client = Client::spawned("P3AT", "");
+    let answer = client.ask("SET {Type Camera} {Name Camera} {Opcode Zoom} {Params nan}", "RES");
+    assert!(answer.contains("{FOV 0.7853} {Status OK}"), "0 resets: {answer}");
+    client.ask(
+        "SET {Type INS} {Name INS} {Opcode POSE} {Params nan,inf,-infinity,NaN,1e9,2.5}",
+        "RES",
+    );
+    client.lines.clear();
+    client.run(0.5);
+    let lines = client.of_type("INS");
+    let estimate = lines.last().expect("no INS line");
+    assert!(estimate.contains("{Location 0.00,0.00,0.00}"), "{estimate}");
+}
