@@ -33,7 +33,7 @@ impl Merger {
             }
             // The neighbours before it have looked at it.
             let below = cell + width;
-            let (left, right) = (cell % width > 0, (cell + 1) % width > 0);
+            let (left, right) = (!cell.is_multiple_of(width), !(cell + 1).is_multiple_of(width));
             if right {
                 self.push_pair(label, labels[cell + 1]);
             }
