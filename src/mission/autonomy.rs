@@ -134,10 +134,7 @@ impl Running {
     pub(super) fn fan(&self, config: &AgentConfig) -> Option<SweepRequest> {
         let acquisition = self.acquisition.as_ref()?;
         let fan = Profile::ground_fan(&self.rig.ground_view()?, &acquisition.config().fan);
-        Some(match config.mission.flowing_sweeps {
-            true => SweepRequest::flowing(fan),
-            false => SweepRequest::coarse(fan, acquisition.config()),
-        })
+        self.taken(fan, config)
     }
 
     /// After a look: the next one that is due, else a choice at the next cycle.

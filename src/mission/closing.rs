@@ -2,7 +2,7 @@
 
 use super::operator::Mode;
 use super::running::{Activity, Desk, Look, Running};
-use crate::acquisition::{Profile, SweepRequest};
+use crate::acquisition::Profile;
 use crate::time::Span;
 
 /// Rows of the last look, in degrees: walls, floor and ceiling fix all directions.
@@ -27,16 +27,12 @@ impl Running {
             return false;
         };
         let profile = Profile::coarse(ROWS_DEG);
-        let flowing = desk.config.mission.flowing_sweeps;
-        let sweep_s = acquisition.seconds_for(&profile, flowing);
+        let sweep_s = acquisition.seconds_for(&profile, desk.config.mission.flowing_sweeps);
         let needed_s = desk.config.mission.settle_s + sweep_s + SPARE_S;
         if end - desk.now > Span::from_seconds(needed_s) {
             return false;
         }
-        let request = match flowing {
-            true => SweepRequest::flowing(profile),
-            false => SweepRequest::coarse(profile, acquisition.config()),
-        };
+        let Some(request) = self.taken(profile, desk.config) else { return false };
         self.closed = true;
         self.end_nod("the time is nearly up", desk);
         if self.belief.leg_m() > MOVED_M {

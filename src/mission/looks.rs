@@ -61,16 +61,12 @@ impl Running {
         let acquisition = self.acquisition.as_ref()?;
         let interest = self.interest();
         let offer = acquisition.choose(&view, &interest, flowing)?;
-        let taken = |profile: Profile| match flowing {
-            true => SweepRequest::flowing(profile),
-            false => SweepRequest::coarse(profile, acquisition.config()),
-        };
         let request = match config.mission.looks {
             LookPolicy::Auto => return Some(offer),
             // What must be seen finely is, whatever the settings say.
             _ if !interest.required_m.is_empty() => return Some(offer),
             LookPolicy::Full => self.full_sweep(config)?,
-            LookPolicy::Coarse => taken(Profile::coarse(2.0)),
+            LookPolicy::Coarse => self.taken(Profile::coarse(2.0), config)?,
             LookPolicy::Fan => self.fan(config)?,
         };
         let reason = format!("{}, as the settings say", request.profile.name);
@@ -81,6 +77,15 @@ impl Running {
     /// The full sweep with which a mission begins, if it begins with one.
     pub(super) fn first_sweep(&self, config: &AgentConfig) -> Option<SweepRequest> {
         config.mission.fine_sweep_at_start.then(|| self.full_sweep(config))?
+    }
+
+    /// A profile as exploration takes it: in motion where the settings allow that.
+    pub(super) fn taken(&self, profile: Profile, config: &AgentConfig) -> Option<SweepRequest> {
+        let acquisition = self.acquisition.as_ref()?;
+        Some(match config.mission.flowing_sweeps {
+            true => SweepRequest::flowing(profile),
+            false => SweepRequest::coarse(profile, acquisition.config()),
+        })
     }
 
     fn full_sweep(&self, config: &AgentConfig) -> Option<SweepRequest> {

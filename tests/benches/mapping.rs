@@ -117,41 +117,33 @@ fn measure(landmarks: usize) -> Measured {
     };
     let mut mapper = Mapper::new(MapperConfig::default(), pose_in(0, false));
     let mut before = pose_in(0, false);
-    let mut times = Vec::new();
-    for room in 0..rooms {
-        for turned in [false, true] {
-            let pose = pose_in(room, turned);
-            mapper.predict(&(before.inverse() * pose), TurnSource::Inertial);
-            before = pose;
-            let scan = scan(room, &pose, &mut rng);
-            let clock = Instant::now();
-            std::hint::black_box(mapper.observe(&scan));
-            times.push(clock.elapsed().as_secs_f64() * 1e3);
-        }
-    }
-    // The last rooms again and again: a map of this size and no larger.
-    for again in 0..MEASURED {
-        let room = rooms - 1 - again % 2.min(rooms);
-        let pose = pose_in(room, again % 4 < 2);
+    let mut look = |room: usize, turned: bool| {
+        let pose = pose_in(room, turned);
         mapper.predict(&(before.inverse() * pose), TurnSource::Inertial);
         before = pose;
         let scan = scan(room, &pose, &mut rng);
         let clock = Instant::now();
         std::hint::black_box(mapper.observe(&scan));
-        times.push(clock.elapsed().as_secs_f64() * 1e3);
+        clock.elapsed().as_secs_f64() * 1e3
+    };
+    for room in 0..rooms {
+        look(room, false);
+        look(room, true);
     }
-    let mut last = times.split_off(times.len() - MEASURED);
+    // The last rooms again and again: a map of this size and no larger.
+    let mut last: Vec<f64> =
+        (0..MEASURED).map(|k| look(rooms - 1 - k % 2.min(rooms), k % 4 < 2)).collect();
     last.sort_by(f64::total_cmp);
     Measured {
         landmarks: mapper.landmarks().len(),
         median_ms: last[MEASURED / 2],
         worst_ms: last[MEASURED - 1],
-        bytes: serde_json::to_vec(&mapper).map_or(0, |json| json.len()),
+        bytes: postcard::to_stdvec(&mapper).map_or(0, |bytes| bytes.len()),
     }
 }
 
 fn main() {
-    println!("{:>10} {:>10} {:>10} {:>14}", "landmarks", "median ms", "worst ms", "state as JSON");
+    println!("{:>10} {:>10} {:>10} {:>14}", "landmarks", "median ms", "worst ms", "state");
     for landmarks in [50, 200, 800, 5000] {
         let Measured { landmarks, median_ms, worst_ms, bytes } = measure(landmarks);
         println!("{landmarks:>10} {median_ms:>10.3} {worst_ms:>10.3} {:>11} kB", bytes / 1000);

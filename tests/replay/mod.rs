@@ -16,8 +16,8 @@ use usar_agent::record::{Header, Recording, What, Writer, read};
 use usar_agent::sim::Session;
 use usar_agent::time::Arrival;
 
-/// The box world without the long sweep at the start: the first goal comes within half a minute.
-/// A mission of `until_s` seconds in the box world, without the full sweep at the start.
+/// A mission of `until_s` seconds in the box world without the long sweep at the start: the first goal
+/// comes within half a minute.
 pub fn scenario(seed: u64, until_s: f64) -> LoadedScenario {
     let mut loaded = load(Path::new("box"), &[]).unwrap();
     loaded.files.scenario.seed = seed;
@@ -26,8 +26,8 @@ pub fn scenario(seed: u64, until_s: f64) -> LoadedScenario {
     loaded
 }
 
-/// Runs a mission in lockstep; gives the agent and the recording's bytes.
-pub fn record(loaded: &LoadedScenario) -> (Agent, Vec<u8>) {
+/// A mission at its beginning, in lockstep and recorded.
+pub fn recorded(loaded: &LoadedScenario) -> Lockstep<Vec<u8>> {
     let files = &loaded.files;
     let session = Session::new(&files.world, &files.scenario, &files.catalogue).unwrap();
     let header = Header {
@@ -38,7 +38,12 @@ pub fn record(loaded: &LoadedScenario) -> (Agent, Vec<u8>) {
     };
     let agent = Agent::new(loaded.agent.clone(), loaded.placement.clone());
     let host = Host::new(agent, Some(Writer::new(Vec::new(), &header).unwrap()));
-    let mut lockstep = Lockstep::new(session, vec![host]).unwrap();
+    Lockstep::new(session, vec![host]).unwrap()
+}
+
+/// Runs a mission in lockstep; gives the agent and the recording's bytes.
+pub fn record(loaded: &LoadedScenario) -> (Agent, Vec<u8>) {
+    let mut lockstep = recorded(loaded);
     while lockstep.step().unwrap() {}
     let (agent, bytes) = lockstep.finish_recordings().unwrap().remove(0);
     (agent, bytes.unwrap())

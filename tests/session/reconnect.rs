@@ -1,14 +1,14 @@
 //! A connection lost after a finished sweep: what was mapped before is there after, and used.
 
+use crate::replay::recorded;
 use std::path::Path;
 use usar_agent::config::read_plain;
-use usar_agent::driver::host::Host;
 use usar_agent::driver::lockstep::Lockstep;
 use usar_agent::driver::replay::Replay;
 use usar_agent::files::scenario::load;
 use usar_agent::mission::Agent;
-use usar_agent::record::{Header, What, Writer, read};
-use usar_agent::sim::{FaultKind, FaultSpec, Session};
+use usar_agent::record::{What, read};
+use usar_agent::sim::{FaultKind, FaultSpec};
 
 /// The connection goes when the robot has swept, and drives.
 const LOST_AT_S: f64 = 45.0;
@@ -34,17 +34,7 @@ fn planes_of_a_finished_sweep_outlive_the_connection_and_are_seen_again() {
         what: None,
         value: None,
     });
-    let files = &loaded.files;
-    let session = Session::new(&files.world, &files.scenario, &files.catalogue).unwrap();
-    let header = Header {
-        seed: files.scenario.seed,
-        scenario: loaded.name.clone(),
-        config: toml::to_string(&loaded.agent).unwrap(),
-        placement: loaded.placement.clone(),
-    };
-    let agent = Agent::new(loaded.agent.clone(), loaded.placement.clone());
-    let host = Host::new(agent, Some(Writer::new(Vec::new(), &header).unwrap()));
-    let mut lockstep = Lockstep::new(session, vec![host]).unwrap();
+    let mut lockstep = recorded(&loaded);
     let agent = |lockstep: &Lockstep<Vec<u8>>| lockstep.agents().next().unwrap().clone();
 
     while lockstep.agents().next().unwrap().is_in_service() || lockstep.now().seconds() < 20.0 {
