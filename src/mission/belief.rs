@@ -3,11 +3,12 @@
 //! Between two sweeps the pose is dead reckoning from the last one, and lines taken on the way enter
 //! a *live* terrain under that pose. A sweep corrects the pose; the way since the one before is then
 //! bent to fit, its lines enter the *settled* terrain where they really were taken, and the live
-//! terrain begins anew as a copy of it. So an error of odometry lasts one leg and no longer.
+//! terrain begins anew as a copy of it. So an error of odometry lasts one leg and no longer. A later
+//! sweep may move an earlier one: once that is more than the terrain can bear, all of it is drawn anew.
 
+use super::leg::{BentLeg, Leg};
 use super::lines::PendingLine;
 use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
-use crate::geometry::lie::{se3_exp, se3_log};
 use crate::mapping::{
     Mapper, MapperConfig, ScanErrors, ScanObservations, UpdateReport, observations,
 };
@@ -23,8 +24,12 @@ use std::ops::Range;
 /// Dead-reckoned poses kept for looking up where a line was taken.
 const HISTORY: usize = 64;
 
-/// A loop closure that moves no keyframe farther than this does not rebuild the terrain.
-const REBUILD_FROM_M: f64 = 0.03;
+/// Motion of a sweep since its points entered the terrain from which on all is drawn anew, in metres:
+/// two faces of one wall then lie in different cells, and a floor shows a step.
+const REDRAW_FROM_M: f64 = 0.03;
+
+/// The same for its rotation, in radians: 0.03 m at the distance within which ground is judged.
+const REDRAW_FROM_RAD: f64 = 0.006;
 
 /// Settings of what the belief is made of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -61,14 +66,6 @@ impl Default for BeliefConfig {
     }
 }
 
-/// A pose of the trajectory, tied to the keyframe before it so that corrections carry it along.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-struct TrackPoint {
-    stamp: Stamp,
-    keyframe: usize,
-    keyframe_from_robot: Isometry3<f64>,
-}
-
 /// Ground ahead of a robot that its laser could not see and that was assumed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct AssumedSector {
@@ -83,12 +80,13 @@ impl AssumedSector {
     }
 }
 
-/// A range image in the terrain and where it was taken.
+/// A sweep and the way that led to it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Archived {
-    keyframe: usize,
-    keyframe_from_robot: Isometry3<f64>,
-    image: RangeImage,
+struct Settled {
+    leg: Leg,
+    sweep: RangeImage,
+    /// Where the robot was when the sweep entered the terrain.
+    entered: Isometry3<f64>,
 }
 
 /// What a sweep told.
@@ -102,6 +100,8 @@ pub struct ScanFindings {
     pub cylinders: usize,
     /// What the mapper did with the planes.
     pub update: UpdateReport,
+    /// Whether earlier sweeps had moved so far that the terrain was drawn anew.
+    pub redrawn: bool,
 }
 
 /// Pose, map and terrain.
@@ -116,23 +116,17 @@ pub struct Belief {
     motion: MotionTracker,
     /// Poses since the last keyframe, newest last.
     pub(super) history: VecDeque<(Stamp, Isometry3<f64>)>,
-    pub(super) keyframe_from_robot: Isometry3<f64>,
+    /// The way since the last keyframe.
     pub(super) leg: Leg,
     pub(super) pending: VecDeque<PendingLine>,
-    track: Vec<TrackPoint>,
-    archive: Vec<Archived>,
+    /// One for each keyframe.
+    settled_legs: Vec<Settled>,
     start: Isometry3<f64>,
+    /// The start hangs on the first keyframe from behind.
+    first_from_start: Isometry3<f64>,
     assumed_radius_m: f64,
     assumed_ahead: Vec<AssumedSector>,
     path_m: f64,
-}
-
-/// What was gathered since the last keyframe; places are relative to it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Leg {
-    pub(super) poses: Vec<(Stamp, Isometry3<f64>, f64)>,
-    pub(super) lines: Vec<(Isometry3<f64>, f64, RangeImage)>,
-    pub(super) path_m: f64,
 }
 
 impl Belief {
@@ -152,12 +146,11 @@ impl Belief {
             live: terrain,
             motion: MotionTracker::default(),
             history: VecDeque::new(),
-            keyframe_from_robot: Isometry3::identity(),
             leg: Leg::default(),
             pending: VecDeque::new(),
-            track: Vec::new(),
-            archive: Vec::new(),
+            settled_legs: Vec::new(),
             start,
+            first_from_start: Isometry3::identity(),
             assumed_radius_m,
             assumed_ahead: Vec::new(),
             path_m: 0.0,
@@ -172,11 +165,11 @@ impl Belief {
 
     /// Where the robot is believed to be now.
     pub fn world_from_robot(&self) -> Isometry3<f64> {
-        self.keyframe_pose() * self.keyframe_from_robot
+        self.keyframe_pose() * self.leg.begin_from_robot()
     }
 
     pub(super) fn keyframe_pose(&self) -> Isometry3<f64> {
-        self.mapper.world_from_robot() * self.keyframe_from_robot.inverse()
+        self.mapper.world_from_robot() * self.leg.begin_from_robot().inverse()
     }
 
     /// The mapper.
@@ -186,7 +179,7 @@ impl Belief {
 
     /// The newest sweep and the number of its keyframe.
     pub fn last_sweep(&self) -> Option<(usize, &RangeImage)> {
-        self.archive.last().map(|item| (item.keyframe, &item.image))
+        self.settled_legs.last().map(|last| (self.settled_legs.len() - 1, &last.sweep))
     }
 
     /// The terrain as known now, the current leg included.
@@ -218,7 +211,7 @@ impl Belief {
 
     /// Length of the way since the last sweep, in metres.
     pub fn leg_m(&self) -> f64 {
-        self.leg.path_m
+        self.leg.path_m()
     }
 
     /// Length of the path believed driven, in metres.
@@ -240,18 +233,13 @@ impl Belief {
     pub fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
         let Some((increment, source)) = self.motion.wheels(wheels) else { return };
         self.mapper.predict(&increment, source);
-        self.keyframe_from_robot *= increment;
-        self.keyframe_from_robot.rotation.renormalize();
-        let step_m = increment.translation.vector.norm();
-        self.path_m += step_m;
-        self.leg.path_m += step_m;
+        self.path_m += increment.translation.vector.norm();
+        let is_new_place = self.leg.drive(stamp, &increment);
         if self.history.len() == HISTORY {
             self.history.pop_front();
         }
-        self.history.push_back((stamp, self.keyframe_from_robot));
-        let moved = step_m > 0.0 || increment.rotation.angle() > 0.0;
-        if moved || self.leg.poses.is_empty() {
-            self.leg.poses.push((stamp, self.keyframe_from_robot, self.leg.path_m));
+        self.history.push_back((stamp, self.leg.begin_from_robot()));
+        if is_new_place {
             let pose = self.world_from_robot();
             self.live.drive_over(&pose);
         }
@@ -273,8 +261,7 @@ impl Belief {
         let spread = Vector6::new(sigma_m, sigma_m, sigma_m, sigma_rad, sigma_rad, sigma_rad);
         let covariance = Matrix6::from_diagonal(&spread.component_mul(&spread));
         self.mapper.predict_with(&increment, &covariance);
-        self.keyframe_from_robot *= increment;
-        self.keyframe_from_robot.rotation.renormalize();
+        self.leg.put(&increment);
     }
 
     /// Where the robot began.
@@ -308,8 +295,8 @@ impl Belief {
         }
         let update = self.mapper.observe(&scan);
         self.pending.clear();
-        self.settle(&update, image);
-        ScanFindings { planes, spheres, cylinders, update }
+        let redrawn = self.settle(&update, image);
+        ScanFindings { planes, spheres, cylinders, update, redrawn }
     }
 
     /// The beams that are segmented: the configured ones of the paper's 181, the same angles of others.
@@ -322,118 +309,96 @@ impl Belief {
         scaled(self.config.first_beam)..scaled(self.config.end_beam)
     }
 
-    fn settle(&mut self, update: &UpdateReport, image: RangeImage) {
+    /// Settles the leg that led to a sweep. Returns whether the terrain was drawn anew.
+    fn settle(&mut self, update: &UpdateReport, sweep: RangeImage) -> bool {
         let keyframes = self.mapper.keyframes();
         let leg = std::mem::take(&mut self.leg);
-        let previous = update.keyframe.checked_sub(1);
-        let before = previous.map_or(self.start, |k| keyframes[k]);
-        // What the correction adds at the end of the leg, spread over its length.
-        let correction =
-            se3_log(&((before * self.keyframe_from_robot).inverse() * update.world_from_robot));
-        let bent = |keyframe_from_robot: &Isometry3<f64>, way_m: f64| {
-            let share = if leg.path_m > 0.0 { way_m / leg.path_m } else { 1.0 };
-            keyframe_from_robot * se3_exp(&(correction * share))
-        };
-        // Before the first keyframe everything hangs on it from behind.
-        let first_from_start =
-            previous.is_none().then(|| update.world_from_robot.inverse() * self.start);
-        let anchor = previous.unwrap_or(update.keyframe);
-        let tie = |pose: Isometry3<f64>| first_from_start.map_or(pose, |first| first * pose);
-        for (stamp, pose, way_m) in &leg.poses {
-            let keyframe_from_robot = tie(bent(pose, *way_m));
-            self.track.push(TrackPoint { stamp: *stamp, keyframe: anchor, keyframe_from_robot });
+        if self.settled_legs.is_empty() {
+            self.first_from_start = update.world_from_robot.inverse() * self.start;
         }
-        let mut fresh: Vec<Archived> = leg
-            .lines
-            .iter()
-            .map(|(pose, way_m, image)| Archived {
-                keyframe: anchor,
-                keyframe_from_robot: tie(bent(pose, *way_m)),
-                image: image.clone(),
-            })
-            .collect();
-        fresh.push(Archived {
-            keyframe: update.keyframe,
-            keyframe_from_robot: Isometry3::identity(),
-            image,
-        });
-        let farthest_m = update
-            .moved
-            .iter()
-            .map(|moved| {
-                let (a, b) = (moved.before.translation, moved.world_from_robot.translation);
-                (a.vector - b.vector).norm()
-            })
-            .fold(0.0, f64::max);
-        if farthest_m > REBUILD_FROM_M {
-            self.archive.append(&mut fresh);
-            self.rebuild(&keyframes);
+        self.settled_legs.push(Settled { leg, sweep, entered: update.world_from_robot });
+        let redrawn = self.strayed(&keyframes);
+        if redrawn {
+            self.redraw(&keyframes);
         } else {
-            for item in &fresh {
-                let pose = keyframes[item.keyframe] * item.keyframe_from_robot;
-                self.settled.integrate(&item.image, &pose);
-            }
-            for (_, pose, way_m) in &leg.poses {
-                let pose = keyframes[anchor] * tie(bent(pose, *way_m));
-                self.settled.drive_over(&pose);
-            }
-            self.archive.append(&mut fresh);
+            self.draw(self.settled_legs.len() - 1, &keyframes);
         }
         self.live = self.settled.clone();
-        self.keyframe_from_robot = Isometry3::identity();
         // Lines that are still to come may be older than this moment: keep where the robot is now.
         if let Some((stamp, _)) = self.history.back().copied() {
             self.history.clear();
             self.history.push_back((stamp, Isometry3::identity()));
         }
+        redrawn
     }
 
-    /// The settled terrain from all images at their corrected poses.
-    fn rebuild(&mut self, keyframes: &[Isometry3<f64>]) {
-        let poses: Vec<Isometry3<f64>> = self
-            .archive
-            .iter()
-            .map(|item| keyframes[item.keyframe] * item.keyframe_from_robot)
-            .collect();
-        self.settled.rebuild(self.archive.iter().map(|item| &item.image).zip(&poses));
+    /// Whether a sweep is believed elsewhere by now than where its points lie in the terrain.
+    fn strayed(&self, keyframes: &[Isometry3<f64>]) -> bool {
+        self.settled_legs.iter().zip(keyframes).any(|(settled, now)| {
+            let off = settled.entered.inverse() * now;
+            off.translation.vector.norm() > REDRAW_FROM_M || off.rotation.angle() > REDRAW_FROM_RAD
+        })
+    }
+
+    /// Draws the settled terrain anew from all that was seen, where it is believed now.
+    fn redraw(&mut self, keyframes: &[Isometry3<f64>]) {
+        self.settled.clear();
         self.settled.assume(&self.start, self.assumed_radius_m);
         for sector in &self.assumed_ahead {
             sector.enter(&mut self.settled);
         }
-        for point in &self.track {
-            self.settled.drive_over(&(keyframes[point.keyframe] * point.keyframe_from_robot));
+        for keyframe in 0..self.settled_legs.len() {
+            self.draw(keyframe, keyframes);
         }
+    }
+
+    /// Enters a sweep and the leg that led to it into the settled terrain.
+    fn draw(&mut self, keyframe: usize, keyframes: &[Isometry3<f64>]) {
+        let bent = bent_leg(&self.settled_legs, keyframe, keyframes, &self.first_from_start);
+        for (image, pose) in bent.images() {
+            self.settled.integrate(image, &pose);
+        }
+        let settled = &self.settled_legs[keyframe];
+        self.settled.integrate(&settled.sweep, &keyframes[keyframe]);
+        for (_, pose) in bent.track() {
+            self.settled.drive_over(&pose);
+        }
+        self.settled_legs[keyframe].entered = keyframes[keyframe];
+    }
+
+    /// The legs that sweeps have settled, bent to where those are believed now.
+    fn bent_legs<'a>(
+        &'a self,
+        keyframes: &'a [Isometry3<f64>],
+    ) -> impl Iterator<Item = BentLeg<'a>> + 'a {
+        (0..self.settled_legs.len()).map(move |keyframe| {
+            bent_leg(&self.settled_legs, keyframe, keyframes, &self.first_from_start)
+        })
     }
 
     /// Every point of every sweep and line in the map, where it is believed now. Points beyond what the
     /// terrain reads are among them.
-    pub fn points(&self) -> impl Iterator<Item = Point3<f64>> + '_ {
+    pub fn points(&self) -> Vec<Point3<f64>> {
         let keyframes = self.mapper.keyframes();
-        self.archive.iter().flat_map(move |item| {
-            let world_from_robot = keyframes[item.keyframe] * item.keyframe_from_robot;
-            let world_from_scan = world_from_robot * item.image.robot_from_scan;
-            let (rows, columns) = (item.image.rows().len(), item.image.columns());
-            (0..rows * columns).filter_map(move |at| {
-                let (row, column) = (at / columns, at % columns);
-                match item.image.at(row, column) {
-                    Return::Hit(range_m) => {
-                        Some(world_from_scan * item.image.point_at(row, column, range_m))
-                    }
-                    _ => None,
-                }
-            })
-        })
+        let mut points = Vec::new();
+        for (bent, (settled, pose)) in
+            self.bent_legs(&keyframes).zip(self.settled_legs.iter().zip(&keyframes))
+        {
+            let images = bent.images().chain([(&settled.sweep, *pose)]);
+            images.for_each(|(image, pose)| add_points(image, &pose, &mut points));
+        }
+        points
     }
 
     /// The trajectory as it is believed now, later corrections included.
     pub fn trajectory(&self) -> Vec<(Stamp, Isometry3<f64>)> {
         let keyframes = self.mapper.keyframes();
-        let base = self.keyframe_pose();
-        let settled = self
-            .track
-            .iter()
-            .map(|point| (point.stamp, keyframes[point.keyframe] * point.keyframe_from_robot));
-        settled.chain(self.leg.poses.iter().map(|(at, pose, _)| (*at, base * pose))).collect()
+        let mut poses: Vec<_> = Vec::new();
+        for bent in self.bent_legs(&keyframes) {
+            poses.extend(bent.track());
+        }
+        poses.extend(self.leg.from(&self.keyframe_pose()).track());
+        poses
     }
 
     /// How far the floor lies below the robot's origin, from what a sweep saw of it nearby; `None`
@@ -471,5 +436,33 @@ impl Belief {
         depths.retain(|depth| (depth - middle_m).abs() <= 2.0 * STEP_M);
         depths.sort_by(f64::total_cmp);
         Some(depths[depths.len() / 2])
+    }
+}
+
+/// The leg that led to a keyframe, between where both its ends are believed now.
+fn bent_leg<'a>(
+    legs: &'a [Settled],
+    keyframe: usize,
+    keyframes: &[Isometry3<f64>],
+    first_from_start: &Isometry3<f64>,
+) -> BentLeg<'a> {
+    let begin =
+        keyframe.checked_sub(1).map_or(keyframes[0] * first_from_start, |before| keyframes[before]);
+    legs[keyframe].leg.between(&begin, &keyframes[keyframe])
+}
+
+/// Adds the points of an image taken with the robot at `world_from_robot`.
+fn add_points(
+    image: &RangeImage,
+    world_from_robot: &Isometry3<f64>,
+    points: &mut Vec<Point3<f64>>,
+) {
+    let world_from_scan = world_from_robot * image.robot_from_scan;
+    for row in 0..image.rows().len() {
+        for column in 0..image.columns() {
+            if let Return::Hit(range_m) = image.at(row, column) {
+                points.push(world_from_scan * image.point_at(row, column, range_m));
+            }
+        }
     }
 }

@@ -87,21 +87,21 @@ impl Belief {
         };
         image.push_line(row, line);
         self.live.integrate(&image, &(self.keyframe_pose() * keyframe_from_robot));
-        self.leg.lines.push((keyframe_from_robot, self.leg.path_m, image));
+        self.leg.keep(Some(*cast), &keyframe_from_robot, image);
     }
 
     /// Maps an image taken under way, its rows displaced to where they were seen from where the robot
     /// is now.
     pub fn take_way_image(&mut self, image: RangeImage) {
         self.live.integrate(&image, &self.world_from_robot());
-        self.leg.lines.push((self.keyframe_from_robot, self.leg.path_m, image));
+        self.leg.keep(None, &self.leg.begin_from_robot(), image);
     }
 
     /// Maps a line of a fixed laser as flat occupancy (2D mode).
     pub fn take_flat_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) -> bool {
         let place = self.at(line.stamp).or_else(|| {
             // A robot that has not moved is where it was.
-            (self.leg.path_m == 0.0).then_some((self.keyframe_from_robot, 0.0))
+            (self.leg.path_m() == 0.0).then_some((self.leg.begin_from_robot(), 0.0))
         });
         let Some((keyframe_from_robot, turn_rps)) = place else { return false };
         if turn_rps > self.config.mapped_turn_rps {

@@ -12,6 +12,7 @@ mod config;
 mod event;
 mod journal;
 mod ledger;
+mod leg;
 mod lines;
 mod looks;
 mod motion;

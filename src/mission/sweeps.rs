@@ -76,6 +76,9 @@ impl Running {
                 findings.update.moved.len()
             ));
         }
+        if findings.redrawn {
+            desk.info("earlier sweeps lie elsewhere by now: the map was drawn anew");
+        }
         self.refresh_grid(desk.now);
         let pose = self.pose2();
         self.explorer.swept(&self.grid, &pose, std::f64::consts::PI);

@@ -376,17 +376,10 @@ impl Terrain {
         self.integrate(&image, world_from_robot)
     }
 
-    /// Forgets everything and takes in `images` again, each with its corrected pose: for use after a
-    /// loop was closed. Assumed ground is lost; assume it again.
-    pub fn rebuild<'a>(
-        &mut self,
-        images: impl IntoIterator<Item = (&'a RangeImage, &'a Isometry3<f64>)>,
-    ) {
+    /// Forgets everything, assumed ground too: for drawing anew what earlier poses got wrong.
+    pub fn clear(&mut self) {
         self.lattice = Lattice::default();
         self.scans = 0;
-        for (image, world_from_robot) in images {
-            self.integrate(image, world_from_robot);
-        }
     }
 
     /// The surfaces known in a cell, of all levels, in no order.

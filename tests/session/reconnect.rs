@@ -18,7 +18,7 @@ fn mapped(agent: &Agent) -> (Vec<Vec<u8>>, usize) {
     let belief = agent.running().expect("a robot was in service").belief();
     let planes = belief.mapper().landmarks();
     let planes = planes.iter().map(|plane| postcard::to_stdvec(plane).unwrap()).collect();
-    (planes, belief.points().count())
+    (planes, belief.points().len())
 }
 
 #[test]
