@@ -376,9 +376,7 @@ impl Running {
             desk.info("far from the last sweep: taking one on the way");
             return self.look_here(desk);
         }
-        if desk.now - self.grid_made >= Span::from_seconds(desk.config.mission.grid_period_s) {
-            self.refresh_grid(desk.now);
-        }
+        self.renew_grid(desk);
         let parked = self.parked(desk.now);
         match parked {
             ParkState::NotParked => self.park(desk),
@@ -464,9 +462,7 @@ impl Running {
 
     fn recover_cycle(&mut self, desk: &mut Desk<'_>) {
         let pose = self.pose2();
-        if desk.now - self.grid_made >= Span::from_seconds(desk.config.mission.grid_period_s) {
-            self.refresh_grid(desk.now);
-        }
+        self.renew_grid(desk);
         let Activity::Recover { recovery, gave_up } = &mut self.activity else { return };
         match self.pilot.recovery_step(recovery, &pose, &self.grid, desk.now) {
             RecoveryStep::Try(_, command) => self.drive(command, desk),

@@ -5,12 +5,17 @@ use super::running::{Activity, Desk, Look, Running};
 use crate::acquisition::Profile;
 use crate::time::Span;
 
-/// Rows of the last look, in degrees: walls, floor and ceiling fix all directions.
-const ROWS_DEG: f64 = 2.0;
+/// Rows of the last look, in degrees: walls, floor and ceiling fix all directions, and small planes
+/// show too where only one wall is near.
+const ROWS_DEG: f64 = 1.0;
 /// Time beyond what the sweep is thought to take, in seconds: the head may have to come from far.
 const SPARE_S: f64 = 4.0;
 /// Way since the last sweep in metres from which another corrects anything.
 const MOVED_M: f64 = 0.02;
+/// Spread of the place believed, in metres, from which another look is worth its time.
+const VAGUE_M: f64 = 0.05;
+/// The same for the heading, in radians.
+const VAGUE_RAD: f64 = 0.01;
 
 impl Running {
     /// In the last seconds of its time the robot stops, looks once more and stays. Returns whether this
@@ -35,7 +40,7 @@ impl Running {
         let Some(request) = self.taken(profile, desk.config) else { return false };
         self.closed = true;
         self.end_nod("the time is nearly up", desk);
-        if self.belief.leg_m() > MOVED_M {
+        if self.belief.leg_m() > MOVED_M || self.is_vague() {
             desk.info(
                 "the time is nearly up: a last look, so that the place told is a corrected one",
             );
@@ -45,5 +50,11 @@ impl Running {
             self.activity = Activity::Rest { until: end };
         }
         true
+    }
+    /// Whether the sweeps so far leave the place or the heading badly known.
+    fn is_vague(&self) -> bool {
+        let covariance = self.belief.mapper().covariance();
+        let sigma = |axis: usize| covariance[(axis, axis)].sqrt();
+        sigma(0).hypot(sigma(1)) > VAGUE_M || sigma(5) > VAGUE_RAD
     }
 }

@@ -106,6 +106,8 @@ pub struct Running {
     pub(super) shape: RobotShape,
     pub(super) grid: Grid,
     pub(super) grid_made: Arrival,
+    /// Images and lines that the grid was made of.
+    grid_scans: u32,
     pub(super) activity: Activity,
     /// What is to be looked at before anything else.
     pub(super) queue: VecDeque<Look>,
@@ -178,6 +180,7 @@ impl Running {
             planner: Planner::default(),
             grid: belief.grid(),
             grid_made: desk.now,
+            grid_scans: 0,
             activity: Activity::Stand,
             queue: VecDeque::new(),
             mode: config.mission.mode,
@@ -281,6 +284,18 @@ impl Running {
     pub(super) fn refresh_grid(&mut self, now: Arrival) {
         self.grid = self.belief.grid();
         self.grid_made = now;
+        self.grid_scans = self.belief.terrain().scans();
+    }
+
+    /// Makes the grid anew if it is old and anything was seen since, or the robot has moved.
+    pub(super) fn renew_grid(&mut self, desk: &Desk<'_>) {
+        let period = Span::from_seconds(desk.config.mission.grid_period_s);
+        let pose = self.pose2();
+        let is_new = self.belief.terrain().scans() != self.grid_scans
+            || self.grid.cell_of(pose.x_m, pose.y_m) != self.grid.robot();
+        if is_new && desk.now - self.grid_made >= period {
+            self.refresh_grid(desk.now);
+        }
     }
 
     /// One control cycle: trouble first, then the operator, then whatever is being done.

@@ -5,7 +5,6 @@ use super::running::{Activity, Desk, Look, Running};
 use crate::acquisition::ParkState;
 use crate::navigation::DriveCommand;
 use crate::robot::HeadPose;
-use crate::time::Span;
 
 impl Running {
     /// Takes in an operator event.
@@ -78,9 +77,7 @@ impl Running {
             let actions = acquisition.park(HeadPose::tilted(guard.tilt.radians()), desk.now);
             self.head_actions(actions, desk);
         }
-        if desk.now - self.grid_made >= Span::from_seconds(desk.config.mission.grid_period_s) {
-            self.refresh_grid(desk.now);
-        }
+        self.renew_grid(desk);
         let pose = self.pose2();
         let wanted = DriveCommand { linear_mps, angular_rps };
         let command = self.pilot.filter(wanted, &pose, &self.grid, parked, desk.now);
