@@ -228,6 +228,11 @@ impl Acquisition {
         Some(acquisition)
     }
 
+    /// Takes in how high the robot's origin stands above the floor, in metres.
+    pub fn stands_at(&mut self, origin_height_m: f64) {
+        self.origin_height_m = Some(origin_height_m);
+    }
+
     /// Finds out how the tilt moves and when commands and rays take effect: a sweep of nine rows at
     /// rest and eight seconds of motion, with the robot standing still. Ends in
     /// [`HeadAction::Calibrated`].

@@ -368,12 +368,6 @@ impl Agent {
         for warning in warnings {
             self.warn(now, warning.to_string());
         }
-        if !rig.is_planar()
-            && let Some(sight) = rig.visibility()
-            && let Some(nearest_m) = sight.nearest_from_centre_m
-        {
-            self.warn(now, format!("ground nearer than {nearest_m:.2} m ahead cannot be seen"));
-        }
         self.lost = None;
         let end = self.end_time();
         let mut desk = Desk { config: &self.config, journal: &mut self.journal, out, now, end };

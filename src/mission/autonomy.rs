@@ -55,7 +55,10 @@ const MOST_BRIDGES: usize = 4;
 /// Way in metres up to which the robot is at its start, the only place where a gap is assumed.
 const START_M: f64 = 1.0;
 
-/// The next heading when nothing is left to go to.
+/// Looks to other sides before the first way: with the one ahead, all around.
+const LOOKS_AROUND: u32 = 2;
+
+/// From one heading to the next when the robot looks around.
 const THIRD_OF_A_TURN: f64 = 2.0 * std::f64::consts::PI / 3.0;
 
 /// Where the ring cannot be seen for an obstacle before it, the obstacle is at most this much nearer.
@@ -163,6 +166,9 @@ impl Running {
             return Verdict::GoOn;
         }
         self.refresh_grid(desk.now);
+        if self.look_around(desk) {
+            return Verdict::GoOn;
+        }
         let costs = self.costs(desk);
         let pose = self.pose2();
         for _ in 0..TRIES {
@@ -254,6 +260,30 @@ impl Running {
         2 * lost > driven.len()
     }
 
+    /// Before the first way the robot looks to its other sides. A way ends where other walls are in
+    /// sight than ahead of its beginning, and only what was seen from the beginning tells by how much
+    /// the wheels were wrong. Returns whether it turns.
+    fn look_around(&mut self, desk: &mut Desk<'_>) -> bool {
+        if self.acquisition.is_none() || self.looks_around == LOOKS_AROUND {
+            return false;
+        }
+        self.looks_around += 1;
+        self.belief.path_m() < START_M && self.turn_to_look("before setting out", desk)
+    }
+
+    /// Turns by a third to look there; false where there is no room.
+    fn turn_to_look(&mut self, why: &str, desk: &mut Desk<'_>) -> bool {
+        let costs = self.costs(desk);
+        let pose = self.pose2();
+        let cell = self.grid.cell_of(pose.x_m, pose.y_m);
+        let Ok(path) = self.planner.plan(&self.grid, &costs, &pose, cell) else { return false };
+        desk.info(format!("{why}: turning to look the other ways"));
+        self.pilot.set_path(path.with_goal_yaw(wrap_pi(pose.yaw_rad + THIRD_OF_A_TURN)));
+        self.park(desk);
+        self.activity = Activity::Drive(Drive { since: desk.now, path_m: 0.0, replans: REPLANS });
+        true
+    }
+
     /// What is tried before a place is left for explored: another look, looks to both other sides, and a
     /// look from farther back on the own track. False once all was tried.
     fn last_resort(&mut self, desk: &mut Desk<'_>) -> bool {
@@ -266,17 +296,9 @@ impl Running {
                 self.look_here(desk);
             }
             1 | 2 => {
-                let costs = self.costs(desk);
-                let cell = self.grid.cell_of(pose.x_m, pose.y_m);
-                let Ok(path) = self.planner.plan(&self.grid, &costs, &pose, cell) else {
+                if !self.turn_to_look("nothing to go to", desk) {
                     return self.last_resort(desk);
-                };
-                desk.info("nothing to go to: turning to look the other ways");
-                let yaw_rad = wrap_pi(pose.yaw_rad + THIRD_OF_A_TURN);
-                self.pilot.set_path(path.with_goal_yaw(yaw_rad));
-                self.park(desk);
-                self.activity =
-                    Activity::Drive(Drive { since: desk.now, path_m: 0.0, replans: REPLANS });
+                }
             }
             BACK_OUT => {
                 desk.info("nothing to go to: backing out to look from farther away");
@@ -354,7 +376,7 @@ impl Running {
         true
     }
 
-    fn park(&mut self, desk: &mut Desk<'_>) {
+    pub(super) fn park(&mut self, desk: &mut Desk<'_>) {
         let Some(guard) = self.pilot.guard_tilt() else { return };
         let Some(acquisition) = &mut self.acquisition else { return };
         let pose = HeadPose::tilted(guard.tilt.radians());

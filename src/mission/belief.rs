@@ -400,43 +400,6 @@ impl Belief {
         poses.extend(self.leg.from(&self.keyframe_pose()).track());
         poses
     }
-
-    /// How far the floor lies below the robot's origin, from what a sweep saw of it nearby; `None`
-    /// where too little was seen.
-    ///
-    /// The commonest depth in steps of a centimetre among the points within 3 m, and the median
-    /// about it: walls and boxes spread over all heights, the floor does not.
-    pub fn floor_below_m(image: &RangeImage) -> Option<f64> {
-        const REACH_M: f64 = 3.0;
-        const DEEPEST_M: f64 = 0.8;
-        const STEP_M: f64 = 0.01;
-        const ENOUGH: usize = 50;
-        let mut depths: Vec<f64> = Vec::new();
-        for row in 0..image.rows().len() {
-            for column in 0..image.columns() {
-                let Return::Hit(range) = image.at(row, column) else { continue };
-                let p = image.robot_from_scan * image.point_at(row, column, range);
-                if p.x.hypot(p.y) < REACH_M && (0.0..DEEPEST_M).contains(&-p.z) {
-                    depths.push(-p.z);
-                }
-            }
-        }
-        let mut counts = vec![0_usize; (DEEPEST_M / STEP_M) as usize + 1];
-        for depth in &depths {
-            counts[(depth / STEP_M) as usize] += 1;
-        }
-        let (commonest, count) = counts
-            .iter()
-            .enumerate()
-            .max_by_key(|(index, count)| (**count, std::cmp::Reverse(*index)))?;
-        if *count < ENOUGH {
-            return None;
-        }
-        let middle_m = (commonest as f64 + 0.5) * STEP_M;
-        depths.retain(|depth| (depth - middle_m).abs() <= 2.0 * STEP_M);
-        depths.sort_by(f64::total_cmp);
-        Some(depths[depths.len() / 2])
-    }
 }
 
 /// The leg that led to a keyframe, between where both its ends are believed now.

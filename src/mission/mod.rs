@@ -10,6 +10,7 @@ mod belief;
 mod closing;
 mod config;
 mod event;
+mod floor;
 mod journal;
 mod ledger;
 mod leg;

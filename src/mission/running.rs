@@ -7,10 +7,10 @@ use super::ledger::{Ledger, Pastime};
 use super::motion::{BodyAttitude, PlanarPose};
 use super::observe::ObservedSweep;
 use super::operator::{DriveLease, Mode};
-use super::pilot::Pilot;
+use super::pilot::{Hold, Pilot};
 use super::sign_test::SignTest;
 use crate::acquisition::{Acquisition, HeadEvent, Profile, SweepRequest};
-use crate::exploration::{ExploreConfig, Explorer, FrontierLeft};
+use crate::exploration::{Explorer, FrontierLeft};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
 use crate::protocol::Command;
 use crate::robot::{BodySpeed, Rig, WheelCount};
@@ -113,6 +113,8 @@ pub struct Running {
     pub(super) queue: VecDeque<Look>,
     pub(super) mode: Mode,
     pub(super) lease: DriveLease,
+    /// What the operator was last told of what holds the robot.
+    pub(super) held: Option<Hold>,
     pub(super) ledger: Ledger,
     pub(super) candidates: Candidates,
     pub(super) victim_config: VictimConfig,
@@ -123,6 +125,8 @@ pub struct Running {
     pub(super) bridged: Vec<Pose2>,
     /// Last resorts tried since the robot last had somewhere to go.
     pub(super) resorts: u32,
+    /// Looks to the other sides that were taken, or tried, where the robot began.
+    pub(super) looks_around: u32,
     pub(super) give_ups: u32,
     pub(super) battery_s: Option<i64>,
     /// The command in force and when it was sent.
@@ -165,18 +169,9 @@ impl Running {
         } else {
             Acquisition::for_rig(&rig, config.acquisition.clone())
         };
-        let mut explore: ExploreConfig = config.explore.clone();
-        if let Some(sight) = rig.visibility() {
-            explore.blind_m = sight.nearest_from_centre_m.unwrap_or(explore.blind_m);
-        }
-        if let (Some(acquisition), Some(view)) = (&acquisition, rig.ground_view()) {
-            let fan = Profile::ground_fan(&view, &config.acquisition.fan);
-            let sweep_s = acquisition.seconds_for(&fan, config.mission.flowing_sweeps);
-            explore.scan_s = explore.scan_s.min(sweep_s + config.mission.settle_s);
-        }
         let mut running = Self {
             pilot: Pilot::new(config, &rig, &shape),
-            explorer: Explorer::new(explore),
+            explorer: explorer(config, &rig, acquisition.as_ref()),
             planner: Planner::default(),
             grid: belief.grid(),
             grid_made: desk.now,
@@ -185,6 +180,7 @@ impl Running {
             queue: VecDeque::new(),
             mode: config.mission.mode,
             lease: DriveLease::default(),
+            held: None,
             ledger: Ledger::default(),
             candidates: Candidates::default(),
             victim_config: config.victims,
@@ -192,6 +188,7 @@ impl Running {
             shunned: Vec::new(),
             bridged: Vec::new(),
             resorts: 0,
+            looks_around: 0,
             give_ups: 0,
             battery_s: None,
             command: DriveCommand::STOP,
@@ -219,7 +216,7 @@ impl Running {
         if desk.config.mission.observe {
             return;
         }
-        let (Some(acquisition), Some(view)) = (&self.acquisition, self.rig.ground_view()) else {
+        if self.acquisition.is_none() {
             if desk.config.mission.mode == Mode::Auto && !desk.config.belief.terrain.flat_floor {
                 desk.warn(
                     "this rig cannot see an edge: standing still; `belief.terrain.flat_floor = true` \
@@ -227,21 +224,17 @@ impl Running {
                 );
             }
             return;
-        };
-        if self.mode == Mode::Teleop {
-            return;
         }
-        if desk.config.mission.verify_signs {
-            self.queue.push_back(Look::SignTest);
+        // An operator gets a picture at once, and the guard line the height of the floor.
+        if self.mode != Mode::Teleop {
+            if desk.config.mission.verify_signs {
+                self.queue.push_back(Look::SignTest);
+            }
+            if desk.config.mission.flowing_sweeps {
+                self.queue.push_back(Look::Calibrate);
+            }
+            self.queue.extend(self.first_sweep(desk.config).map(Look::Sweep));
         }
-        if desk.config.mission.flowing_sweeps {
-            self.queue.push_back(Look::Calibrate);
-        }
-        let limits = acquisition.control().head().tilt().and_then(|axis| axis.limits);
-        if let Some(lost) = Profile::paper_full().clipped(limits).1 {
-            desk.warn(lost.explain(&view));
-        }
-        self.queue.extend(self.first_sweep(desk.config).map(Look::Sweep));
         self.queue.extend(self.fan(desk.config).map(Look::Sweep));
         self.next_look_or_choose(desk);
     }
@@ -406,6 +399,24 @@ impl Running {
             }
         }
     }
+}
+
+/// An explorer for what the rig can see.
+pub(super) fn explorer(
+    config: &AgentConfig,
+    rig: &Rig,
+    acquisition: Option<&Acquisition>,
+) -> Explorer {
+    let mut explore = config.explore.clone();
+    if let Some(sight) = rig.visibility() {
+        explore.blind_m = sight.nearest_from_centre_m.unwrap_or(explore.blind_m);
+    }
+    if let (Some(acquisition), Some(view)) = (acquisition, rig.ground_view()) {
+        let fan = Profile::ground_fan(&view, &config.acquisition.fan);
+        let sweep_s = acquisition.seconds_for(&fan, config.mission.flowing_sweeps);
+        explore.scan_s = explore.scan_s.min(sweep_s + config.mission.settle_s);
+    }
+    Explorer::new(explore)
 }
 
 /// The rig as the terrain sees it.

@@ -1,9 +1,9 @@
 //! Sweeps: the head is served, and what a finished sweep tells enters the belief.
 
-use super::belief::Belief;
+use super::floor::floor_below_m;
 use super::pilot::Pilot;
-use super::running::{Desk, Running, shape_of};
-use crate::acquisition::{HeadAction, HeadEvent, Scan};
+use super::running::{Desk, Running, explorer, shape_of};
+use crate::acquisition::{HeadAction, HeadEvent, Profile, Scan};
 
 impl Running {
     /// Hands an event to the acquisition and does what it asks.
@@ -89,10 +89,16 @@ impl Running {
     /// is still empty then and is begun anew with the measured height.
     fn measure_floor(&mut self, scan: &Scan, desk: &mut Desk<'_>) {
         let guess_m = self.shape.base_above_floor_m;
-        let Some(height_m) = Belief::floor_below_m(&scan.image) else { return };
-        if (height_m - guess_m).abs() < 0.01 {
-            return;
+        let measured_m = floor_below_m(&scan.image);
+        if let Some(height_m) = measured_m.filter(|height_m| (height_m - guess_m).abs() >= 0.01) {
+            self.stand_at(height_m, desk);
         }
+        self.warn_of_sight(desk);
+    }
+
+    /// Begins anew for an origin that stands `height_m` above the floor.
+    fn stand_at(&mut self, height_m: f64, desk: &mut Desk<'_>) {
+        let guess_m = self.shape.base_above_floor_m;
         desk.info(format!(
             "the floor lies {height_m:.3} m below the robot's origin, not {guess_m:.3} m as supposed"
         ));
@@ -100,5 +106,23 @@ impl Running {
         self.shape = shape_of(&self.rig);
         self.belief.restart(self.shape.clone());
         self.pilot = Pilot::new(desk.config, &self.rig, &self.shape);
+        if let Some(acquisition) = &mut self.acquisition {
+            acquisition.stands_at(height_m);
+        }
+        self.explorer = explorer(desk.config, &self.rig, self.acquisition.as_ref());
+    }
+
+    /// Says what ground the rig cannot see, and why.
+    fn warn_of_sight(&self, desk: &mut Desk<'_>) {
+        let (Some(acquisition), Some(view)) = (&self.acquisition, self.rig.ground_view()) else {
+            return;
+        };
+        if let Some(nearest_m) = view.visibility().nearest_from_centre_m {
+            desk.warn(format!("ground nearer than {nearest_m:.2} m ahead cannot be seen"));
+        }
+        let limits = acquisition.control().head().tilt().and_then(|axis| axis.limits);
+        if let Some(lost) = Profile::paper_full().clipped(limits).1 {
+            desk.warn(lost.explain(&view));
+        }
     }
 }

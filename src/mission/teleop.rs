@@ -1,10 +1,10 @@
 //! What the robot does at an operator's hand.
 
 use super::operator::{Mode, OperatorEvent};
+use super::pilot::Hold;
 use super::running::{Activity, Desk, Look, Running};
 use crate::acquisition::ParkState;
 use crate::navigation::DriveCommand;
-use crate::robot::HeadPose;
 
 impl Running {
     /// Takes in an operator event.
@@ -37,6 +37,7 @@ impl Running {
             OperatorEvent::ScanNow => {
                 if let Some(request) = self.fan(desk.config) {
                     self.lease.release();
+                    desk.info("looking: the whole fan, as the operator asks");
                     self.settle(Look::Sweep(request), desk);
                 }
             }
@@ -49,8 +50,12 @@ impl Running {
         if matches!(self.activity, Activity::Stand) {
             return;
         }
-        if let Some(acquisition) = &mut self.acquisition {
-            acquisition.stop_sweep("the operator took over", desk.now);
+        let dropped = self
+            .acquisition
+            .as_mut()
+            .and_then(|acquisition| acquisition.stop_sweep("the operator took over", desk.now));
+        if dropped.is_some() {
+            desk.info("the sweep is dropped: the operator took over");
         }
         self.explorer.give_up("the operator took over", desk.now);
         self.queue.clear();
@@ -65,23 +70,38 @@ impl Running {
         let Some((linear_mps, angular_rps)) = self.lease.command(desk.now) else {
             if self.mode == Mode::Teleop && matches!(self.activity, Activity::Stand) {
                 self.stop(desk);
+                self.held = None;
+                // On guard before the first key, so that the key is obeyed at once.
+                self.guard_the_way(desk);
                 return true;
             }
             return false;
         };
-        let parked = self.parked(desk.now);
-        if parked == ParkState::NotParked
-            && let (Some(guard), Some(acquisition)) =
-                (self.pilot.guard_tilt(), &mut self.acquisition)
-        {
-            let actions = acquisition.park(HeadPose::tilted(guard.tilt.radians()), desk.now);
-            self.head_actions(actions, desk);
-        }
+        let parked = self.guard_the_way(desk);
         self.renew_grid(desk);
         let pose = self.pose2();
         let wanted = DriveCommand { linear_mps, angular_rps };
-        let command = self.pilot.filter(wanted, &pose, &self.grid, parked, desk.now);
+        let (command, hold) = self.pilot.filter(wanted, &pose, &self.grid, parked, desk.now);
+        self.tell_hold(hold, desk);
         self.drive(command, desk);
         true
+    }
+
+    /// Turns the head to the ground ahead unless it is there or on its way; tells where it is.
+    fn guard_the_way(&mut self, desk: &mut Desk<'_>) -> ParkState {
+        if self.parked(desk.now) == ParkState::NotParked {
+            self.park(desk);
+        }
+        self.parked(desk.now)
+    }
+
+    /// Tells the operator once why the robot does not drive ahead.
+    fn tell_hold(&mut self, hold: Option<Hold>, desk: &mut Desk<'_>) {
+        if let Some(hold) = &hold
+            && !self.held.as_ref().is_some_and(|told| told.is_like(hold))
+        {
+            desk.warn(format!("not driving ahead: {hold}"));
+        }
+        self.held = hold;
     }
 }

@@ -226,7 +226,9 @@ impl RigBuilder {
         match told {
             Some([length, width, height]) if height > 0.0 => {
                 (body.length_m, body.width_m, body.height_m) = (length, width, height);
-                body.origin_height_m = 0.5 * height;
+                // A hull told with its mast says nothing of where the origin lies: half of it would
+                // put the floor far too low, and the guard line would take the floor for a step.
+                body.origin_height_m = body.origin_height_m.min(0.5 * height);
             }
             // UDK gives distances between wheels, with no height, in place of the hull.
             Some([length, width, _]) => {

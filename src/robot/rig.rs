@@ -22,7 +22,7 @@ pub struct Body {
     /// Height of the hull in metres, without the scan head.
     pub height_m: f64,
     /// Height of the robot frame's origin above level ground, in metres. No message tells it: it is
-    /// half the hull's height until a scan has measured it.
+    /// that of the class, at most half the hull's height, until a scan has measured it.
     pub origin_height_m: f64,
     /// Mass in kilograms.
     pub mass_kg: f64,

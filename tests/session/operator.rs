@@ -13,11 +13,17 @@ use usar_agent::mission::{Agent, Event, Mode, OperatorEvent, Outcome};
 use usar_agent::protocol::Dialect;
 use usar_agent::record::{Header, Writer, read};
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_operator_drives_over_tcp_and_the_session_replays() {
+/// What became of an agent in teleop whose operator held a key that drives at `linear_mps`.
+struct Held {
+    agent: Agent,
+    recording: Vec<u8>,
+}
+
+/// Holds the key for all of a session of `seconds` against the stand-in.
+async fn hold_a_key(linear_mps: f64, seconds: f64) -> Held {
     let mut loaded = load(Path::new("box"), &[]).unwrap();
     loaded.agent.mission.mode = Mode::Teleop;
-    loaded.agent.mission.time_limit_s = 5.0;
+    loaded.agent.mission.time_limit_s = seconds;
     loaded.agent.opening.listen_s = 0.3;
     let stand = Stand::of("box", Dialect::Ut2004);
     let address = stand.address.to_string();
@@ -32,12 +38,12 @@ async fn an_operator_drives_over_tcp_and_the_session_replays() {
     let agent = Agent::new(loaded.agent.clone(), loaded.placement.clone());
     let mut host = Host::new(agent, Some(Writer::new(Vec::new(), &header).unwrap()));
     let (inputs, received) = mpsc::channel(64);
+    let presses = (10.0 * seconds) as u32;
     let hand = tokio::spawn(async move {
-        // As a held key: a press every 100 ms, until the robot has driven a while.
-        for _ in 0..45 {
+        for _ in 0..presses {
             tokio::time::sleep(Duration::from_millis(100)).await;
-            let ahead = OperatorEvent::Drive { linear_mps: -0.3, angular_rps: 0.0 };
-            if inputs.send((clock.now(), Event::Operator(ahead))).await.is_err() {
+            let drive = OperatorEvent::Drive { linear_mps, angular_rps: 0.0 };
+            if inputs.send((clock.now(), Event::Operator(drive))).await.is_err() {
                 break;
             }
         }
@@ -49,8 +55,14 @@ async fn an_operator_drives_over_tcp_and_the_session_replays() {
 
     let (agent, bytes) = host.finish().unwrap();
     assert_eq!(agent.outcome(), Some(&Outcome::Time));
+    Held { agent, recording: bytes.unwrap() }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_operator_drives_over_tcp_and_the_session_replays() {
+    let Held { agent, recording } = hold_a_key(-0.3, 5.0).await;
     assert!(agent.running().unwrap().belief().path_m() > 0.05, "the operator moved the robot");
-    let recording = read(&bytes.unwrap()).unwrap();
+    let recording = read(&recording).unwrap();
     let config = toml::from_str(&recording.header.config).unwrap();
     let again = Agent::new(config, recording.header.placement.clone());
     let mut replay = Replay::new(again, &recording);
@@ -58,4 +70,16 @@ async fn an_operator_drives_over_tcp_and_the_session_replays() {
     let (again, _, difference) = replay.finish();
     assert_eq!(difference, None);
     assert_eq!(postcard::to_stdvec(&again).unwrap(), postcard::to_stdvec(&agent).unwrap());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_held_key_drives_ahead_over_floor_that_no_sweep_has_measured() {
+    // The key is down from the first moment on, so that the sweep at the start is dropped and the
+    // guard line knows the floor's height from the class alone.
+    let Held { agent, .. } = hold_a_key(0.4, 14.0).await;
+    let running = agent.running().unwrap();
+    let way_m = running.belief().path_m();
+    assert!(way_m > 1.0, "{way_m:.2} m");
+    let told: Vec<&str> = agent.journal().since(0).iter().map(|note| note.text.as_str()).collect();
+    assert!(told.iter().any(|text| text.contains("the head is still turning")), "{told:?}");
 }
