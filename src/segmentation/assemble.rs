@@ -28,6 +28,10 @@ const HULL_VERTICES: usize = 64;
 /// About how many cells of a region tell which shape it has.
 const TRIAL_CELLS: usize = 250;
 
+/// Deviation of a plane's points, as a share of its length, from which on it is none: bushes, people
+/// and heaps have a best plane too, and no map gains by it.
+const THICKEST: f64 = 0.1;
+
 /// Fewest core readings, and their least share, for which the border readings can be spared.
 const FEWEST_CORE: usize = 12;
 const LEAST_CORE_SHARE: f64 = 0.3;
@@ -283,8 +287,13 @@ impl Assembler {
                     let points = [&field.x[..], &field.y, &field.z];
                     let runs = self.components.runs(component);
                     self.hull.find_in_runs(points, runs, &grid_from_plane, &mut hull);
-                    let covariance = covariance * patch;
-                    (Shape::Plane(PlanePatch { grid_from_plane, covariance, hull }), square_m2)
+                    if square_m2 > (THICKEST * across_m(&hull)).powi(2) {
+                        self.spare_hulls.push(hull);
+                        (Shape::Other, square_m2)
+                    } else {
+                        let covariance = covariance * patch;
+                        (Shape::Plane(PlanePatch { grid_from_plane, covariance, hull }), square_m2)
+                    }
                 }
                 Fitted::Sphere { centre, radius_m, covariance } => {
                     let covariance = covariance * patch;
@@ -328,6 +337,17 @@ impl Assembler {
             }
         }
     }
+}
+
+/// Length of a hull along the longer axis of its frame, in metres.
+fn across_m(hull: &[Point2<f64>]) -> f64 {
+    let fresh = [f64::INFINITY, f64::NEG_INFINITY];
+    let span = |axis: usize| {
+        let [low, high] =
+            hull.iter().fold(fresh, |[low, high], p| [low.min(p[axis]), high.max(p[axis])]);
+        high - low
+    };
+    if hull.is_empty() { 0.0 } else { span(0).max(span(1)) }
 }
 
 /// Adds a line to the rejected, in a string that an earlier result had.
