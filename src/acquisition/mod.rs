@@ -21,6 +21,7 @@ mod nod;
 mod park;
 mod policy;
 mod profile;
+mod ramp;
 mod scan;
 mod servo;
 mod sweep;
@@ -132,7 +133,7 @@ pub enum SweepMode {
     /// calibrated cannot.
     Nodding,
     /// It turns at a constant rate: the paper's way on the real robot. Where the server knows no
-    /// rates, by a set-point for each line.
+    /// rates, behind a set-point that does.
     Continuous {
         /// Radians per second, above 0.
         rate_rad_s: f64,
@@ -274,13 +275,10 @@ impl Acquisition {
             SweepMode::Continuous { rate_rad_s, cycle_s } if self.rates => {
                 (Some(FlowDrive::Rate { rate_rad_s, cycle_s }), coarse)
             }
-            SweepMode::Continuous { rate_rad_s, .. } => {
-                let step = rate_rad_s * self.control.rhythm.interval().seconds();
-                (Some(FlowDrive::SetPoints { step_rad: Some(step) }), coarse)
+            SweepMode::Continuous { rate_rad_s, cycle_s } => {
+                (Some(FlowDrive::Ramp { rate_rad_s, cycle_s }), coarse)
             }
-            SweepMode::Flowing | SweepMode::Nodding => {
-                (Some(FlowDrive::SetPoints { step_rad: None }), coarse)
-            }
+            SweepMode::Flowing | SweepMode::Nodding => (Some(FlowDrive::SetPoints), coarse),
         };
         let (control, config) = (&mut self.control, &self.config);
         let pan_rad = request.pan_rad;
@@ -385,14 +383,8 @@ impl Acquisition {
             Activity::Idle => Vec::new(),
             Activity::Parking(park) => {
                 let commands = park.handle(jumped, &mut self.control, &self.config, now);
-                let ask = self.control.must_ask()
-                    && self.control.clock().latest().is_some()
-                    && self.control.may_ask_at().is_none_or(|at| now >= at);
-                if ask {
-                    self.control.ask(now);
-                }
                 let sent = commands.into_iter().map(HeadAction::Send);
-                sent.chain(ask.then_some(HeadAction::Ask)).collect()
+                sent.chain(self.control.ask_if_due(now)).collect()
             }
             Activity::Sweeping(sweep) => {
                 let actions = sweep.handle(event, jumped, &mut self.control, &self.config, now);
@@ -402,17 +394,21 @@ impl Acquisition {
                 actions
             }
             Activity::Flowing(flow) => {
-                let actions = flow.handle(event, jumped, &mut self.control, &self.config, now);
+                let mut actions = flow.handle(event, jumped, &mut self.control, &self.config, now);
                 if flow.is_finished() {
                     self.activity = Activity::Idle;
+                } else {
+                    actions.extend(self.control.ask_if_due(now));
                 }
                 actions
             }
             Activity::Calibrating(calibration) => {
-                let actions =
+                let mut actions =
                     calibration.handle(event, jumped, &mut self.control, &self.config, now);
                 if calibration.is_finished() {
                     self.activity = Activity::Idle;
+                } else if calibration.is_moving() {
+                    actions.extend(self.control.ask_if_due(now));
                 }
                 actions
             }
@@ -421,13 +417,19 @@ impl Acquisition {
 
     /// When [`Self::handle`] must be called again even if nothing arrives.
     pub fn next_wakeup(&self) -> Option<Arrival> {
+        // A sweep at rest asks a scanner that speaks only when asked by itself; in motion, and on the
+        // guard line, such a scanner is asked as often as others speak.
+        let ask_at = || self.control.may_ask_at().filter(|_| self.control.must_ask());
+        let earliest = |a: Option<Arrival>, b: Option<Arrival>| a.into_iter().chain(b).min();
         match &self.activity {
             Activity::Sweeping(sweep) => sweep.next_wakeup(),
-            Activity::Flowing(flow) => flow.next_wakeup(),
+            Activity::Flowing(flow) => earliest(flow.next_wakeup(), ask_at()),
+            Activity::Calibrating(calibration) if calibration.is_moving() => {
+                earliest(calibration.next_wakeup(), ask_at())
+            }
             Activity::Calibrating(calibration) => calibration.next_wakeup(),
-            // The guard line of a scanner that speaks only when asked.
-            Activity::Parking(_) if self.control.must_ask() => self.control.may_ask_at(),
-            Activity::Idle | Activity::Parking(_) => None,
+            Activity::Parking(_) => ask_at(),
+            Activity::Idle => None,
         }
     }
 
