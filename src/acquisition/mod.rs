@@ -25,9 +25,12 @@ mod ramp;
 mod scan;
 mod servo;
 mod sweep;
+mod synchronise;
 #[cfg(test)]
 mod testbed;
+mod tilt_mount;
 mod track;
+mod triples;
 mod way;
 
 pub use body::BodyTrack;
@@ -35,7 +38,7 @@ pub use calibrate::CalibrationReport;
 pub use clock::{ClockStep, StampClock};
 pub use config::AcquisitionConfig;
 pub use control::{HeadControl, Timing};
-pub use cyclic::{CyclicSource, RecordedTriples, Triple, TripleError, scan_by_request};
+pub use cyclic::{CyclicSource, Triple, scan_by_request};
 pub use fix::{TiltFix, TiltReference};
 pub use flow::{Flow, FlowDrive};
 pub use guard::{GuardConfig, GuardTilt, guard_tilt};
@@ -47,7 +50,10 @@ pub use profile::{Clipped, FanConfig, Profile, QUARTER_DEGREE_RAD, QuarterDegree
 pub use scan::{Scan, ScanErrors, TimeBudget};
 pub use servo::{HINGE_GAP_RAD, ServoLaw, ServoState};
 pub use sweep::Sweep;
+pub use synchronise::{Synchronised, Synchroniser};
+pub use tilt_mount::TiltMount;
 pub use track::{AxisEstimate, AxisReading, AxisTrack, Verdict};
+pub use triples::{HEADING, RecordedTriples, TripleError};
 
 use crate::protocol::Dialect;
 use crate::robot::{Demand, GroundView, HeadPose, HeadReading, Rig, ScanHead};
