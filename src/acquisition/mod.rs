@@ -63,10 +63,15 @@ use calibrate::{Calibration, reference_profile};
 use nalgebra::Isometry3;
 use park::Park;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
 use way::Way;
 
 /// Speed of a pan-tilt link whose CONF is silent: CameraPanTilt's (protocol 5.4).
 const USUAL_LINK_SPEED_RAD_S: f64 = 0.17;
+
+/// Seconds between the rows of the paper's real robot: its 55° take 19.2 s at 0.05 rad/s, and of 70 rows
+/// the first lies at one end and the last at the other.
+pub const CONTINUOUS_CYCLE_S: f64 = 55.0 * PI / 180.0 / 0.05 / 69.0;
 
 /// What the acquisition is told.
 #[derive(Clone, Copy, Debug)]
@@ -162,10 +167,10 @@ impl SweepRequest {
         Self { profile, pan_rad: 0.0, mode: SweepMode::Flowing }
     }
 
-    /// The paper's real robot: 0.05 rad/s, 70 rows in 19.2 s.
+    /// The paper's real robot (section VI): 0.05 rad/s and 70 rows.
     pub fn continuous() -> Self {
         let profile = Profile { name: "continuous".into(), ..Profile::paper_full() };
-        let mode = SweepMode::Continuous { rate_rad_s: 0.05, cycle_s: 19.2 / 70.0 };
+        let mode = SweepMode::Continuous { rate_rad_s: 0.05, cycle_s: CONTINUOUS_CYCLE_S };
         Self { profile, pan_rad: 0.0, mode }
     }
 

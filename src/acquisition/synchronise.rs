@@ -11,8 +11,8 @@ use nalgebra::Isometry3;
 #[derive(Clone, Debug, Default)]
 pub struct Synchroniser {
     lines: Vec<LaserLine>,
-    tilts: Vec<(Stamp, f64)>,
-    poses: Vec<(Stamp, Isometry3<f64>)>,
+    tilts: Vec<At<f64>>,
+    poses: Vec<At<Isometry3<f64>>>,
 }
 
 /// What a [`Synchroniser`] made of it.
@@ -53,15 +53,15 @@ impl Synchroniser {
         let mut triples = Vec::with_capacity(self.lines.len());
         for line in self.lines {
             let stamp = line.stamp;
-            let Some((before, after, share)) =
-                around(&self.tilts, stamp).filter(|(a, b, _)| b.0 - a.0 <= FARTHEST)
+            let Some(([before, after], share)) =
+                around(&self.tilts, stamp).filter(|([a, b], _)| b.0 - a.0 <= FARTHEST)
             else {
                 without_tilt += 1;
                 continue;
             };
             let tilt_rad = before.1 + share * (after.1 - before.1);
             let frame_from_robot = match around(&self.poses, stamp) {
-                Some((before, after, share)) => se3_between(&before.1, &after.1, share),
+                Some(([before, after], share)) => se3_between(&before.1, &after.1, share),
                 None => {
                     without_pose += 1;
                     let at = self.poses.partition_point(|pose| pose.0 < stamp);
@@ -75,15 +75,18 @@ impl Synchroniser {
     }
 }
 
+/// Something, and when it was.
+type At<T> = (Stamp, T);
+
 /// The two entries around `stamp` and how far it is from the first to the second, in 0..=1.
-fn around<T>(entries: &[(Stamp, T)], stamp: Stamp) -> Option<(&(Stamp, T), &(Stamp, T), f64)> {
+fn around<T>(entries: &[At<T>], stamp: Stamp) -> Option<([&At<T>; 2], f64)> {
     let after = entries.partition_point(|entry| entry.0 < stamp);
     let late = entries.get(after)?;
     if late.0 == stamp {
-        return Some((late, late, 0.0));
+        return Some(([late, late], 0.0));
     }
     let early = entries.get(after.checked_sub(1)?)?;
-    Some((early, late, (stamp - early.0).seconds() / (late.0 - early.0).seconds()))
+    Some(([early, late], (stamp - early.0).seconds() / (late.0 - early.0).seconds()))
 }
 
 #[cfg(test)]

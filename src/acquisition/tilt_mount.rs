@@ -50,8 +50,20 @@ mod tests {
     fn a_heads_own_kinematics_come_back() {
         // Angles as GEO prints them, and a laser that is mounted askew.
         let joints = vec![
-            Joint::from_wire("PT", 1, JointKind::Revolute, [0.12, 0.01, -0.2], [3.1415, 0.0, 0.0]),
-            Joint::from_wire("PT", 2, JointKind::Revolute, [0.0, 0.0, 0.06], [1.5707, 0.0, 0.02]),
+            Joint::from_wire(
+                "PT",
+                1,
+                JointKind::Revolute,
+                [0.12, 0.01, -0.2],
+                [PI - 1e-4, 0.0, 0.0],
+            ),
+            Joint::from_wire(
+                "PT",
+                2,
+                JointKind::Revolute,
+                [0.0, 0.0, 0.06],
+                [FRAC_PI_2 - 1e-4, 0.0, 0.02],
+            ),
         ];
         let device = Isometry3::new(Vector3::new(0.06, 0.02, 0.05), Vector3::new(0.1, 0.2, 0.3));
         let head = ScanHead::new(Mount { joints, part_from_device: device });

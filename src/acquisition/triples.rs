@@ -201,9 +201,11 @@ impl CyclicSource for RecordedTriples {
 
 /// A pose as a record has it: x y z in metres, then the quaternion w x y z.
 fn pose_text(pose: &Isometry3<f64>) -> String {
-    let t = pose.translation.vector;
-    let q = pose.rotation.quaternion();
-    format!("{} {} {} {} {} {} {}", t.x, t.y, t.z, q.w, q.i, q.j, q.k)
+    // Twelve decimals: the rest is rounding errors of the arithmetic. Adding zero makes -0 of them 0.
+    let tidy = |value: f64| (value * 1e12).round() / 1e12 + 0.0;
+    let t = pose.translation.vector.map(tidy);
+    let q = pose.rotation.quaternion().coords.map(tidy);
+    format!("{} {} {} {} {} {} {}", t.x, t.y, t.z, q.w, q.x, q.y, q.z)
 }
 
 fn pose_of([x, y, z, qw, qx, qy, qz]: [f64; 7]) -> Result<Isometry3<f64>, String> {

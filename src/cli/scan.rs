@@ -2,7 +2,9 @@
 
 use super::files::write_stdout;
 use super::session::{self, Session};
-use crate::acquisition::{HEADING, RecordedTriples, TiltMount, Triple, scan_by_request};
+use crate::acquisition::{
+    CONTINUOUS_CYCLE_S, HEADING, RecordedTriples, TiltMount, Triple, scan_by_request,
+};
 use crate::driver::triples::triples_of;
 use crate::files::pcd::{Encoding, write_pcd};
 use crate::files::replace::replace_file;
@@ -27,8 +29,8 @@ pub struct ScanArguments {
     /// Which of the sweeps found, from 1 [default: the one with most rows]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     sweep: Option<u32>,
-    /// Seconds between requests; 0 keeps every line. The default is the paper's: 70 rows in 19.2 s
-    #[arg(long, value_name = "S", default_value_t = PAPER_CYCLE_S, value_parser = seconds)]
+    /// Seconds between requests; 0 keeps every line. The default is the paper's: 70 rows of 55°
+    #[arg(long, value_name = "S", default_value_t = CONTINUOUS_CYCLE_S, value_parser = seconds)]
     cycle: f64,
     /// Most rows of a scan
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
@@ -61,9 +63,6 @@ pub struct ScanArguments {
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
 }
-
-/// The paper's 55° at 0.05 rad/s in 70 rows (section VI).
-const PAPER_CYCLE_S: f64 = 19.2 / 70.0;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum Format {
@@ -226,16 +225,19 @@ fn scan_of(
 }
 
 fn table(sweeps: &[&Value], written: Option<usize>, output: Option<&Path>) -> String {
-    let mut text = "sweep |   from s |     to s | lines | rows × columns | tilt °            | rad/s  | driven m\n".to_owned();
+    let mut text = "sweep |   from s |     to s | lines | rows × columns | tilt °            | \
+                    rad/s  | driven m\n"
+        .to_owned();
     for sweep in sweeps {
         let number = |key: &str| sweep[key].as_f64().unwrap_or(f64::NAN);
         let _ = writeln!(
             text,
-            "{:>5} | {:>8.2} | {:>8.2} | {:>5} | {:>4} × {:<7} | {:>7.2} … {:>7.2} | {:>6.3} | {:>8.2}",
-            sweep["sweep"],
+            "{:>5} | {:>8.2} | {:>8.2} | {:>5} | {:>4} × {:<7} | {:>7.2} … {:>7.2} | \
+             {:>6.3} | {:>8.2}",
+            number("sweep"),
             number("from_s"),
             number("to_s"),
-            sweep["lines"],
+            number("lines"),
             number("rows"),
             number("columns"),
             number("tilt_from_deg"),
