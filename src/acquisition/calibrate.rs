@@ -121,6 +121,11 @@ impl Calibration {
         self.stage == Stage::Finished
     }
 
+    /// Whether the tilt is moved, the reference sweep being over.
+    pub(super) fn is_moving(&self) -> bool {
+        matches!(self.stage, Stage::Moving(_))
+    }
+
     /// When the calibration must be called again even if nothing arrives.
     pub fn next_wakeup(&self) -> Option<Arrival> {
         match &self.stage {

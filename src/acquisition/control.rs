@@ -4,7 +4,7 @@ use super::config::AcquisitionConfig;
 use super::identify::ServoFit;
 use super::servo::ServoLaw;
 use super::track::{AxisReading, AxisTrack};
-use super::{HeadCommand, HeadEvent};
+use super::{HeadAction, HeadCommand, HeadEvent};
 use crate::robot::{Demand, HeadPose, JointAngle, ScanHead};
 use crate::scan::LaserLine;
 use crate::time::{Arrival, Span, Stamp};
@@ -39,6 +39,8 @@ pub struct HeadControl {
     latency: Span,
     /// How late the last reading came.
     readings_late: Span,
+    /// What came out of order so far.
+    disorder: Disorder,
     /// Times found by calibration, or supposed.
     pub(super) timing: Timing,
 }
@@ -93,6 +95,7 @@ impl HeadControl {
             asks: 0,
             latency,
             readings_late: Span::ZERO,
+            disorder: Disorder::default(),
             timing: Timing {
                 command_delay: Span::from_seconds(0.5 * latency.seconds()),
                 line_lag: Span::ZERO,
@@ -121,6 +124,8 @@ impl HeadControl {
                     }
                 };
                 if step == ClockStep::Steady {
+                    let newest = self.tilt.last_reading().map(|read| read.stamp);
+                    self.disorder.readings += u32::from(newest > Some(reading.stamp));
                     let sent = self.clock.earliest(now).unwrap_or(reading.stamp);
                     self.readings_late = (sent - reading.stamp).max(Span::ZERO);
                     read(&mut self.tilt, reading.tilt);
@@ -129,6 +134,11 @@ impl HeadControl {
                 step
             }
             HeadEvent::Line(line) => {
+                let newest = self.rhythm.newest();
+                if let Some(behind) = newest.map(|newest| newest - line.stamp) {
+                    self.disorder.lines += u32::from(behind > Span::ZERO);
+                    self.disorder.lines_late = self.disorder.lines_late.max(behind);
+                }
                 self.rhythm.note(line, now);
                 let step = self.scanner_clock.observe(line.stamp + SCANNER_LAG, now);
                 if self.clock.latest().is_some() { ClockStep::Steady } else { step }
@@ -209,6 +219,11 @@ impl HeadControl {
         self.readings_late
     }
 
+    /// What came out of order since the session began.
+    pub(super) fn disorder(&self) -> Disorder {
+        self.disorder
+    }
+
     /// Whether the scanner speaks only when it is asked (`SET … Scan`, protocol 4.5): one that speaks
     /// by itself soon has sent more lines than it was asked for.
     pub(super) fn must_ask(&self) -> bool {
@@ -218,6 +233,17 @@ impl HeadControl {
     /// When the next line may be asked for.
     pub(super) fn may_ask_at(&self) -> Option<Arrival> {
         self.asked.map(|at| at + self.clock().arrival_span(ASK_EVERY))
+    }
+
+    /// Asks a scanner that speaks only when asked for its next line, if that is due.
+    pub(super) fn ask_if_due(&mut self, now: Arrival) -> Option<HeadAction> {
+        let due = self.must_ask()
+            && self.clock().latest().is_some()
+            && self.may_ask_at().is_none_or(|at| now >= at);
+        due.then(|| {
+            self.ask(now);
+            HeadAction::Ask
+        })
     }
 
     /// Takes note that a line is asked for.
@@ -272,6 +298,35 @@ impl HeadControl {
     }
 }
 
+/// Messages that arrived after others which were stamped later.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Disorder {
+    /// Readings of the tilt.
+    pub readings: u32,
+    /// Lines of the laser.
+    pub lines: u32,
+    /// How far behind the newest line the latest of them came.
+    pub lines_late: Span,
+}
+
+impl Disorder {
+    /// Whether anything came out of order since `before`.
+    pub(super) fn grew_since(&self, before: &Self) -> bool {
+        self.readings > before.readings || self.lines > before.lines
+    }
+
+    /// What came out of order since `before`, in words for an operator.
+    pub(super) fn remark_since(&self, before: &Self) -> Option<String> {
+        self.grew_since(before).then(|| {
+            format!(
+                "{} readings of the tilt and {} lines came out of order: each counts by its own time",
+                self.readings - before.readings,
+                self.lines - before.lines
+            )
+        })
+    }
+}
+
 /// Times until a joint rests at a target, in seconds of simulated time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Settle {
@@ -317,8 +372,10 @@ impl LineRhythm {
     fn note(&mut self, line: &LaserLine, now: Arrival) {
         self.last_arrival = Some(now);
         self.lines += 1;
-        if self.recent.back().is_none_or(|&last| line.stamp > last) {
-            self.recent.push_back(line.stamp);
+        // In order of the stamps: the interval is the laser's, not that of the arrivals.
+        let at = self.recent.partition_point(|&stamp| stamp < line.stamp);
+        if self.recent.get(at) != Some(&line.stamp) {
+            self.recent.insert(at, line.stamp);
             if self.recent.len() > Self::KEPT {
                 self.recent.pop_front();
             }
@@ -352,6 +409,11 @@ impl LineRhythm {
     /// Whether a line has the length that lines of this scanner have.
     pub(super) fn is_whole(&self, line: &LaserLine) -> bool {
         self.beams.is_none_or(|beams| beams == line.len()) && !line.is_empty()
+    }
+
+    /// The newest stamp of a line.
+    fn newest(&self) -> Option<Stamp> {
+        self.recent.back().copied()
     }
 
     /// When the last line arrived.

@@ -50,8 +50,10 @@ pub(super) fn dated_rows(
     control: &HeadControl,
 ) -> Vec<DatedRow> {
     let cycle = match way.drive {
-        FlowDrive::Rate { cycle_s, .. } => Span::from_seconds(cycle_s),
-        FlowDrive::SetPoints { .. } => Span::ZERO,
+        FlowDrive::Rate { cycle_s, .. } | FlowDrive::Ramp { cycle_s, .. } => {
+            Span::from_seconds(cycle_s)
+        }
+        FlowDrive::SetPoints => Span::ZERO,
     };
     let mut rows: Vec<DatedRow> = Vec::new();
     let mut kept: Option<f64> = None;
@@ -61,10 +63,8 @@ pub(super) fn dated_rows(
         let cast = triple.stamp;
         let Some(estimate) = control.tilt.estimate(cast) else { continue };
         let closest = match way.drive {
-            FlowDrive::SetPoints { .. } => {
-                CLOSEST * way.spacing_at(estimate.angle_rad).min(DENSE_RAD)
-            }
-            FlowDrive::Rate { .. } => 0.0,
+            FlowDrive::SetPoints => CLOSEST * way.spacing_at(estimate.angle_rad).min(DENSE_RAD),
+            FlowDrive::Rate { .. } | FlowDrive::Ramp { .. } => 0.0,
         };
         let nothing_new = kept.is_some_and(|tilt| (estimate.angle_rad - tilt).abs() < closest);
         if nothing_new {

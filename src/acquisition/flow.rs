@@ -2,9 +2,10 @@
 //! tilt it was taken at.
 
 use super::config::AcquisitionConfig;
-use super::control::HeadControl;
+use super::control::{Disorder, HeadControl};
 use super::dated::{Taken, dated_rows};
 use super::profile::QuarterDegrees;
+use super::ramp::Ramp;
 use super::scan::{FiledRow, Scan, ScanErrors, TimeBudget, image_of};
 use super::way::Way;
 use super::{HeadAction, HeadEvent};
@@ -17,14 +18,18 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum FlowDrive {
     /// By set-points on the grid of quarter degrees, one for each line, so far ahead of the tilt that
-    /// the servo carries it one row on: the profile's next, or `step_rad` on.
-    SetPoints {
-        /// Distance between rows in radians; `None` for the profile's own.
-        step_rad: Option<f64>,
-    },
+    /// the servo carries it on to the profile's next row.
+    SetPoints,
     /// At a constant rate in radians per second (paper, section VI: 0.05). Once in `cycle_s` seconds
     /// the next line is kept; with 0 every line is.
     Rate {
+        /// Radians per second, above 0.
+        rate_rad_s: f64,
+        /// Seconds between rows.
+        cycle_s: f64,
+    },
+    /// The same where the server knows no rates: by a set-point that runs along at that rate.
+    Ramp {
         /// Radians per second, above 0.
         rate_rad_s: f64,
         /// Seconds between rows.
@@ -42,6 +47,8 @@ pub struct Flow {
     stage: Stage,
     taken: Vec<Taken>,
     demanded: QuarterDegrees,
+    /// The set-point under way, where the drive is a ramp.
+    ramp: Option<Ramp>,
     started: Arrival,
     deadline: Arrival,
     repeats: usize,
@@ -49,6 +56,7 @@ pub struct Flow {
     idle_lines: u32,
     /// How late the latest of the readings came.
     readings_late: Span,
+    disorder_before: Disorder,
     furthest_rad: f64,
     budget: TimeBudget,
     last_event: Arrival,
@@ -96,11 +104,13 @@ impl Flow {
             driving,
             stage: Stage::NeedsClock,
             taken: Vec::new(),
+            ramp: None,
             started: now,
             deadline: now + config.row_timeout(),
             repeats: 0,
             idle_lines: 0,
             readings_late: Span::ZERO,
+            disorder_before: control.disorder(),
             budget: TimeBudget::default(),
             last_event: now,
             remarks: Vec::new(),
@@ -137,7 +147,8 @@ impl Flow {
 
     /// When the sweep must be called again even if nothing arrives.
     pub fn next_wakeup(&self) -> Option<Arrival> {
-        (!self.is_finished()).then_some(self.deadline)
+        let ramp_at = self.ramp.as_ref().map(Ramp::next_at);
+        (!self.is_finished()).then(|| ramp_at.map_or(self.deadline, |at| at.min(self.deadline)))
     }
 
     /// Ends the sweep where it stands and hands over what there is.
@@ -178,18 +189,51 @@ impl Flow {
             (Stage::NeedsClock, _) if control.clock().latest().is_some() => {
                 self.approach(control, config, now, &mut actions);
             }
+            (Stage::Approaching | Stage::Flowing | Stage::Closing, HeadEvent::Line(line))
+                if self.take_straggler(line, control) => {}
             (Stage::Approaching | Stage::Flowing, HeadEvent::Line(line)) => {
                 self.on_line(line, control, config, now, &mut actions);
             }
-            (Stage::Closing, HeadEvent::Joints(_)) if self.is_dated(control) => {
+            (Stage::Closing, HeadEvent::Joints(_))
+                if self.is_dated(control) && !self.awaits_stragglers(control) =>
+            {
                 self.finish(control, now, &mut actions);
             }
             _ => {}
         }
+        self.run_ramp(control, now, &mut actions);
         if now >= self.deadline && !self.is_finished() {
             self.on_deadline(control, config, now, &mut actions);
         }
         actions
+    }
+
+    /// Takes a line older than the newest one taken to its place among them; false for any other.
+    /// It says nothing about where the tilt is by now.
+    fn take_straggler(&mut self, line: &LaserLine, control: &HeadControl) -> bool {
+        let at = self.taken.partition_point(|taken| taken.line.stamp < line.stamp);
+        let Some(after) = self.taken.get(at) else { return false };
+        // From before the first row, or a second copy.
+        let foreign = at == 0 || after.line.stamp == line.stamp;
+        if !foreign && control.rhythm.is_whole(line) {
+            let demanded = after.demanded;
+            self.taken.insert(at, Taken { line: line.clone(), demanded });
+        }
+        true
+    }
+
+    /// Whether lines or readings have come out of order, so that some may still be under way.
+    fn awaits_stragglers(&self, control: &HeadControl) -> bool {
+        control.disorder().grew_since(&self.disorder_before)
+    }
+
+    fn run_ramp(&mut self, control: &mut HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
+        let due = self.ramp.as_mut().and_then(|ramp| ramp.due(control, now));
+        if let Some(angle_rad) = due {
+            self.demanded = QuarterDegrees::nearest(angle_rad);
+            let command = control.command_tilt(Demand::Angle(angle_rad), now);
+            actions.push(HeadAction::Send(command));
+        }
     }
 
     fn approach(
@@ -248,9 +292,15 @@ impl Flow {
             self.stage = Stage::Flowing;
             self.furthest_rad = here.angle_rad;
             self.idle_lines = 0;
-            if let FlowDrive::Rate { rate_rad_s, .. } = self.way.drive {
-                let rate = Demand::Rate(direction * rate_rad_s);
-                actions.push(HeadAction::Send(control.command_tilt(rate, now)));
+            match self.way.drive {
+                FlowDrive::SetPoints => {}
+                FlowDrive::Rate { rate_rad_s, .. } => {
+                    let rate = Demand::Rate(direction * rate_rad_s);
+                    actions.push(HeadAction::Send(control.command_tilt(rate, now)));
+                }
+                FlowDrive::Ramp { rate_rad_s, .. } => {
+                    self.ramp = Ramp::start((first, last), rate_rad_s, control, now);
+                }
             }
         }
         self.taken.push(Taken { line: line.clone(), demanded: self.demanded });
@@ -261,7 +311,7 @@ impl Flow {
         if (last - here.angle_rad) * direction <= 0.5 * step {
             self.close(control, now, actions);
         } else if !self.end_if_stuck(control, now, actions)
-            && matches!(self.way.drive, FlowDrive::SetPoints { .. })
+            && self.way.drive == FlowDrive::SetPoints
             && let Some(next) = self.way.next_set_point(line, self.demanded, control, config, now)
         {
             self.demanded = next;
@@ -301,19 +351,18 @@ impl Flow {
 
     fn close(&mut self, control: &mut HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
         self.stage = Stage::Closing;
-        let rest = match self.way.drive {
-            FlowDrive::Rate { .. } => Some(Demand::Rate(0.0)),
-            FlowDrive::SetPoints { .. } => None,
-        };
-        if let Some(rest) = rest {
-            actions.push(HeadAction::Send(control.command_tilt(rest, now)));
+        self.ramp = None;
+        if let FlowDrive::Rate { .. } = self.way.drive {
+            actions.push(HeadAction::Send(control.command_tilt(Demand::Rate(0.0), now)));
         }
         // Without readings there is nothing to wait for.
         let reads = control.tilt.last_reading().is_some();
-        if !reads || self.is_dated(control) {
+        let awaits = self.awaits_stragglers(control);
+        if !awaits && (!reads || self.is_dated(control)) {
             self.finish(control, now, actions);
         } else {
-            let late = control.readings_late().min(LATEST);
+            let lines_late = if awaits { control.disorder().lines_late } else { Span::ZERO };
+            let late = self.readings_late.max(lines_late).min(LATEST);
             self.deadline = now + control.clock().arrival_span(CLOSING + late);
         }
     }
@@ -402,6 +451,8 @@ impl Flow {
         let rows = dated_rows(&self.taken, &self.way, self.pan_rad, self.driving, control);
         let unsupported = rows.iter().filter(|row| !row.supported).count();
         let reads = control.tilt.last_reading().is_some();
+        self.ramp = None;
+        self.remarks.extend(control.disorder().remark_since(&self.disorder_before));
         if reads && self.readings_late > LATE {
             let seconds = self.readings_late.seconds();
             self.remarks.push(format!("the tilt's readings came late, by {seconds:.1} s or more"));

@@ -21,12 +21,16 @@ mod nod;
 mod park;
 mod policy;
 mod profile;
+mod ramp;
 mod scan;
 mod servo;
 mod sweep;
+mod synchronise;
 #[cfg(test)]
 mod testbed;
+mod tilt_mount;
 mod track;
+mod triples;
 mod way;
 
 pub use body::BodyTrack;
@@ -34,7 +38,7 @@ pub use calibrate::CalibrationReport;
 pub use clock::{ClockStep, StampClock};
 pub use config::AcquisitionConfig;
 pub use control::{HeadControl, Timing};
-pub use cyclic::{CyclicSource, RecordedTriples, Triple, TripleError, scan_by_request};
+pub use cyclic::{CyclicSource, Triple, scan_by_request};
 pub use fix::{TiltFix, TiltReference};
 pub use flow::{Flow, FlowDrive};
 pub use guard::{GuardConfig, GuardTilt, guard_tilt};
@@ -46,7 +50,10 @@ pub use profile::{Clipped, FanConfig, Profile, QUARTER_DEGREE_RAD, QuarterDegree
 pub use scan::{Scan, ScanErrors, TimeBudget};
 pub use servo::{HINGE_GAP_RAD, ServoLaw, ServoState};
 pub use sweep::Sweep;
+pub use synchronise::{Synchronised, Synchroniser};
+pub use tilt_mount::TiltMount;
 pub use track::{AxisEstimate, AxisReading, AxisTrack, Verdict};
+pub use triples::{HEADING, RecordedTriples, TripleError};
 
 use crate::protocol::Dialect;
 use crate::robot::{Demand, GroundView, HeadPose, HeadReading, Rig, ScanHead};
@@ -56,10 +63,15 @@ use calibrate::{Calibration, reference_profile};
 use nalgebra::Isometry3;
 use park::Park;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
 use way::Way;
 
 /// Speed of a pan-tilt link whose CONF is silent: CameraPanTilt's (protocol 5.4).
 const USUAL_LINK_SPEED_RAD_S: f64 = 0.17;
+
+/// Seconds between the rows of the paper's real robot: its 55° take 19.2 s at 0.05 rad/s, and of 70 rows
+/// the first lies at one end and the last at the other.
+pub const CONTINUOUS_CYCLE_S: f64 = 55.0 * PI / 180.0 / 0.05 / 69.0;
 
 /// What the acquisition is told.
 #[derive(Clone, Copy, Debug)]
@@ -132,7 +144,7 @@ pub enum SweepMode {
     /// calibrated cannot.
     Nodding,
     /// It turns at a constant rate: the paper's way on the real robot. Where the server knows no
-    /// rates, by a set-point for each line.
+    /// rates, behind a set-point that does.
     Continuous {
         /// Radians per second, above 0.
         rate_rad_s: f64,
@@ -155,10 +167,10 @@ impl SweepRequest {
         Self { profile, pan_rad: 0.0, mode: SweepMode::Flowing }
     }
 
-    /// The paper's real robot: 0.05 rad/s, 70 rows in 19.2 s.
+    /// The paper's real robot (section VI): 0.05 rad/s and 70 rows.
     pub fn continuous() -> Self {
         let profile = Profile { name: "continuous".into(), ..Profile::paper_full() };
-        let mode = SweepMode::Continuous { rate_rad_s: 0.05, cycle_s: 19.2 / 70.0 };
+        let mode = SweepMode::Continuous { rate_rad_s: 0.05, cycle_s: CONTINUOUS_CYCLE_S };
         Self { profile, pan_rad: 0.0, mode }
     }
 
@@ -279,13 +291,10 @@ impl Acquisition {
             SweepMode::Continuous { rate_rad_s, cycle_s } if self.rates => {
                 (Some(FlowDrive::Rate { rate_rad_s, cycle_s }), coarse)
             }
-            SweepMode::Continuous { rate_rad_s, .. } => {
-                let step = rate_rad_s * self.control.rhythm.interval().seconds();
-                (Some(FlowDrive::SetPoints { step_rad: Some(step) }), coarse)
+            SweepMode::Continuous { rate_rad_s, cycle_s } => {
+                (Some(FlowDrive::Ramp { rate_rad_s, cycle_s }), coarse)
             }
-            SweepMode::Flowing | SweepMode::Nodding => {
-                (Some(FlowDrive::SetPoints { step_rad: None }), coarse)
-            }
+            SweepMode::Flowing | SweepMode::Nodding => (Some(FlowDrive::SetPoints), coarse),
         };
         let (control, config) = (&mut self.control, &self.config);
         let pan_rad = request.pan_rad;
@@ -390,14 +399,8 @@ impl Acquisition {
             Activity::Idle => Vec::new(),
             Activity::Parking(park) => {
                 let commands = park.handle(jumped, &mut self.control, &self.config, now);
-                let ask = self.control.must_ask()
-                    && self.control.clock().latest().is_some()
-                    && self.control.may_ask_at().is_none_or(|at| now >= at);
-                if ask {
-                    self.control.ask(now);
-                }
                 let sent = commands.into_iter().map(HeadAction::Send);
-                sent.chain(ask.then_some(HeadAction::Ask)).collect()
+                sent.chain(self.control.ask_if_due(now)).collect()
             }
             Activity::Sweeping(sweep) => {
                 let actions = sweep.handle(event, jumped, &mut self.control, &self.config, now);
@@ -407,17 +410,21 @@ impl Acquisition {
                 actions
             }
             Activity::Flowing(flow) => {
-                let actions = flow.handle(event, jumped, &mut self.control, &self.config, now);
+                let mut actions = flow.handle(event, jumped, &mut self.control, &self.config, now);
                 if flow.is_finished() {
                     self.activity = Activity::Idle;
+                } else {
+                    actions.extend(self.control.ask_if_due(now));
                 }
                 actions
             }
             Activity::Calibrating(calibration) => {
-                let actions =
+                let mut actions =
                     calibration.handle(event, jumped, &mut self.control, &self.config, now);
                 if calibration.is_finished() {
                     self.activity = Activity::Idle;
+                } else if calibration.is_moving() {
+                    actions.extend(self.control.ask_if_due(now));
                 }
                 actions
             }
@@ -426,13 +433,19 @@ impl Acquisition {
 
     /// When [`Self::handle`] must be called again even if nothing arrives.
     pub fn next_wakeup(&self) -> Option<Arrival> {
+        // A sweep at rest asks a scanner that speaks only when asked by itself; in motion, and on the
+        // guard line, such a scanner is asked as often as others speak.
+        let ask_at = || self.control.may_ask_at().filter(|_| self.control.must_ask());
+        let earliest = |a: Option<Arrival>, b: Option<Arrival>| a.into_iter().chain(b).min();
         match &self.activity {
             Activity::Sweeping(sweep) => sweep.next_wakeup(),
-            Activity::Flowing(flow) => flow.next_wakeup(),
+            Activity::Flowing(flow) => earliest(flow.next_wakeup(), ask_at()),
+            Activity::Calibrating(calibration) if calibration.is_moving() => {
+                earliest(calibration.next_wakeup(), ask_at())
+            }
             Activity::Calibrating(calibration) => calibration.next_wakeup(),
-            // The guard line of a scanner that speaks only when asked.
-            Activity::Parking(_) if self.control.must_ask() => self.control.may_ask_at(),
-            Activity::Idle | Activity::Parking(_) => None,
+            Activity::Parking(_) => ask_at(),
+            Activity::Idle => None,
         }
     }
 

@@ -1,7 +1,7 @@
 //! Stop-scan-go: one sweep over a list of tilts, as a state machine.
 
 use super::config::AcquisitionConfig;
-use super::control::{HeadControl, Settle};
+use super::control::{Disorder, HeadControl, Settle};
 use super::profile::{Profile, QuarterDegrees};
 use super::scan::{FiledRow, Scan, ScanErrors, TimeBudget, image_of};
 use super::track::Verdict;
@@ -27,6 +27,7 @@ pub struct Sweep {
     repeats: usize,
     unverified: usize,
     lost_in_a_row: u32,
+    disorder_before: Disorder,
     remarks: Vec<String>,
 }
 
@@ -95,6 +96,7 @@ impl Sweep {
             repeats: 0,
             unverified: 0,
             lost_in_a_row: 0,
+            disorder_before: control.disorder(),
             remarks: Vec::new(),
         };
         let mut actions = Vec::new();
@@ -424,6 +426,7 @@ impl Sweep {
     fn finish(&mut self, control: &HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
         self.step = Step::Finished;
         let filed = self.filed();
+        self.remarks.extend(control.disorder().remark_since(&self.disorder_before));
         if self.unverified > 0 {
             self.remarks.push(format!(
                 "{} rows were filed on the computed waiting time: no reading of that time came",

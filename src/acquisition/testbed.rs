@@ -69,6 +69,8 @@ pub struct Faults {
     pub reading_delay_s: f64,
     /// Every second reading is held back behind its successor.
     pub swap_readings: bool,
+    /// From then on every second line is held back behind its successor.
+    pub swap_lines_from_s: Option<f64>,
     pub drop_every: Option<u64>,
     pub clock_jump: Option<(f64, f64)>,
 }
@@ -87,6 +89,7 @@ pub struct Testbed {
     last_stamp: f64,
     cast: Option<(f64, Option<(LaserLine, f64)>)>,
     held: Option<HeadReading>,
+    held_line: Option<LaserLine>,
     /// Stamp of every line sent, with the true tilt when its rays were cast.
     pub truth: Vec<(Stamp, f64)>,
     lines: u64,
@@ -192,6 +195,7 @@ impl Testbed {
             last_stamp: EPOCH_S,
             cast: None,
             held: None,
+            held_line: None,
             truth: Vec::new(),
             lines: 0,
             world: World::default(),
@@ -336,7 +340,15 @@ impl Testbed {
             let dropped = self.faults.drop_every.is_some_and(|n| self.lines.is_multiple_of(n));
             if !stopped && !dropped {
                 self.truth.push((line.stamp, tilt));
-                self.send(Message::Line(line), 0.0);
+                let swaps = self.faults.swap_lines_from_s.is_some_and(|from| self.now_s >= from);
+                match self.held_line.take() {
+                    Some(held) => {
+                        self.send(Message::Line(line), 0.0);
+                        self.send(Message::Line(held), 0.0);
+                    }
+                    None if swaps => self.held_line = Some(line),
+                    None => self.send(Message::Line(line), 0.0),
+                }
             }
         }
         if self.behaviour.readings {

@@ -67,9 +67,6 @@ impl Way {
 
     /// Distance between rows around a tilt, in radians.
     pub(super) fn spacing_at(&self, tilt_rad: f64) -> f64 {
-        if let FlowDrive::SetPoints { step_rad: Some(step) } = self.drive {
-            return step;
-        }
         let tilts = &self.profile.tilts;
         let direction = self.direction();
         let ahead = tilts.partition_point(|t| (t.radians() - tilt_rad) * direction <= 0.0);

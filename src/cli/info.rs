@@ -2,6 +2,7 @@
 
 use super::files::write_stdout;
 use super::mission::Format;
+use crate::acquisition::RecordedTriples;
 use crate::files::kind::{Kind, kind_of};
 use crate::files::pcd::read_pcd;
 use crate::files::world::{check_map, load_world};
@@ -21,7 +22,7 @@ use std::process::ExitCode;
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  usar info run/session.usar --format json")]
 pub struct InfoArguments {
-    /// A session, run folder, captured text, scan, map, scenario, robots or configuration
+    /// A session, run folder, captured text, triples, scan, map, scenario, robots or configuration
     file: PathBuf,
     /// Form of the answer
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
@@ -52,6 +53,7 @@ fn facts(path: &Path, bytes: &[u8]) -> Result<Map<String, Value>> {
             session(&recording, bytes.len())
         }
         Kind::Captured => captured(&Capture::read(bytes)),
+        Kind::Triples => triples(path, bytes)?,
         Kind::Scan => scan(path, bytes)?,
         Kind::Scenario => scenario(path)?,
         Kind::Map => map(path)?,
@@ -130,6 +132,20 @@ fn captured(capture: &Capture) -> Value {
         "to_s": last,
         "received": received,
     })
+}
+
+fn triples(path: &Path, bytes: &[u8]) -> Result<Value> {
+    let record = RecordedTriples::parse(&String::from_utf8_lossy(bytes))
+        .with_context(|| path.display().to_string())?;
+    let triples = record.triples();
+    Ok(json!({
+        "triples": triples.len(),
+        "columns": triples.first().map(|first| first.line.len()),
+        "from_s": triples.first().map(|first| first.stamp.seconds()),
+        "to_s": triples.last().map(|last| last.stamp.seconds()),
+        "sweeps": record.sweeps().len(),
+        "mount": record.mount().is_some(),
+    }))
 }
 
 /// Counts a line under its verb, sensor lines under their type.

@@ -3,7 +3,7 @@
 use super::files::{write_stderr, write_stdout};
 use super::out::RunFolder;
 use crate::driver::simulated::{MissionResult, SimulatedMission};
-use crate::export::report::Report;
+use crate::export::report::{Report, SweepBudget};
 use crate::files::agent_config::Source;
 use crate::files::scenario::{self, LoadedScenario};
 use crate::mission::Level;
@@ -56,6 +56,29 @@ pub enum Format {
     Text,
     /// One JSON document
     Json,
+}
+
+/// Where the time of all sweeps went, and what nods cost.
+fn sweep_times(report: &Report) -> String {
+    let sum = |part: fn(&SweepBudget) -> f64| -> f64 {
+        report.sweeps.iter().map(|sweep| part(&sweep.budget_s)).sum()
+    };
+    let mut text = format!(
+        "  sweeps   tilt moving {:.0} s, servo {:.0} s, laser {:.0} s, idle {:.0} s",
+        sum(|budget| budget.moving),
+        sum(|budget| budget.servo),
+        sum(|budget| budget.laser),
+        sum(|budget| budget.idle)
+    );
+    let nods = &report.nods;
+    if let (Some(metres), Some(seconds)) = (nods.metres_per_nod, nods.seconds_per_metre) {
+        let _ = write!(
+            text,
+            "; {} nods on the way, {metres:.2} m each at {seconds:.1} s a metre",
+            nods.count
+        );
+    }
+    text + "\n"
 }
 
 /// A number of seconds above zero.
@@ -196,6 +219,7 @@ pub fn summary(report: &Report, folder: &std::path::Path) -> String {
         report.sweeps.len(),
         report.distance_m
     );
+    text += &sweep_times(report);
     if let (Some(coverage), Some(explored), Some(reachable)) =
         (report.coverage, report.explored_m2, report.reachable_m2)
     {

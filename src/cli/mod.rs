@@ -14,6 +14,7 @@ mod out;
 mod paper;
 mod replay;
 mod run;
+mod scan;
 mod segment;
 mod session;
 mod sim;
@@ -41,6 +42,8 @@ enum Verb {
     Replay(replay::ReplayArguments),
     /// The stand-in USARSim server on TCP.
     Sim(sim::SimArguments),
+    /// Recorded triples of odometry, tilt and laser put together to organised scans.
+    Scan(scan::ScanArguments),
     /// One organised scan through segmentation and fitting.
     Segment(segment::SegmentArguments),
     /// Organised scans through segmentation, localisation and mapping.
@@ -65,6 +68,7 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Verb::Run(arguments) => run::run(&arguments),
         Verb::Replay(arguments) => replay::run(&arguments),
         Verb::Sim(arguments) => sim::run(&arguments),
+        Verb::Scan(arguments) => scan::run(&arguments),
         Verb::Segment(arguments) => segment::run(&arguments),
         Verb::Map(arguments) => map::run(&arguments),
         Verb::Eval(arguments) => eval::run(&arguments),

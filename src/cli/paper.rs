@@ -9,6 +9,7 @@ use super::files::write_stdout;
 use crate::export::canvas::Canvas;
 use crate::files::replace::replace_file;
 use crate::files::scenario::{self, LoadedScenario};
+use crate::mission::FineSweep;
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use std::path::{Path, PathBuf};
@@ -49,7 +50,7 @@ enum What {
     Compare2d(Flight),
 }
 
-/// A mission that a figure is drawn from.
+/// A mission that a figure is drawn from. Its full scan is the paper's: at rest at each of 220 tilts.
 #[derive(Debug, Args)]
 struct Flight {
     /// Scenario file, or the name of one in the program.
@@ -75,6 +76,8 @@ impl Flight {
         if let Some(limit) = self.time_limit {
             loaded.agent.mission.time_limit_s = limit;
         }
+        // A figure of the paper's begins with the paper's scan, not with the faster one of missions.
+        loaded.agent.mission.fine_sweep = FineSweep::Paper;
         Ok(loaded)
     }
 }

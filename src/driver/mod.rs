@@ -7,3 +7,4 @@ pub mod observed;
 pub mod replay;
 pub mod results;
 pub mod simulated;
+pub mod triples;

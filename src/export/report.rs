@@ -21,6 +21,9 @@ pub struct Report {
     pub distance_m: f64,
     /// Every sweep in order.
     pub sweeps: Vec<SweepReport>,
+    /// Those of them that were taken while the robot drove on, together.
+    #[serde(default)]
+    pub nods: NodTotals,
     /// Surfaces fitted over all sweeps.
     pub surfaces: SurfaceCounts,
     /// Planar landmarks in the final map.
@@ -93,6 +96,41 @@ pub struct SweepReport {
     /// Standard deviation of the tilts of single rows, in degrees.
     #[serde(default)]
     pub tilt_sigma_deg: f64,
+    /// Metres driven meanwhile; `None` for a sweep taken standing.
+    #[serde(default)]
+    pub driven_m: Option<f64>,
+}
+
+/// Sweeps taken while the robot drove on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct NodTotals {
+    /// How many.
+    pub count: usize,
+    /// Time they took, in seconds; the robot drove meanwhile.
+    pub seconds: f64,
+    /// Way driven meanwhile, in metres.
+    pub driven_m: f64,
+    /// Way per nod, in metres; `None` without a nod.
+    pub metres_per_nod: Option<f64>,
+    /// Time per metre of that way, in seconds; `None` if none was driven.
+    pub seconds_per_metre: Option<f64>,
+}
+
+impl NodTotals {
+    /// Those among `sweeps`.
+    pub fn of(sweeps: &[SweepReport]) -> Self {
+        let nods = || sweeps.iter().filter_map(|sweep| Some((sweep.seconds, sweep.driven_m?)));
+        let count = nods().count();
+        let seconds = nods().map(|nod| nod.0).sum();
+        let driven_m = nods().map(|nod| nod.1).sum();
+        Self {
+            count,
+            seconds,
+            driven_m,
+            metres_per_nod: (count > 0).then(|| driven_m / count as f64),
+            seconds_per_metre: (driven_m > 0.0).then(|| seconds / driven_m),
+        }
+    }
 }
 
 /// Where the seconds of a sweep went.
@@ -181,4 +219,20 @@ pub struct FrontierLeft {
     pub y: f64,
     /// Why it was left.
     pub reason: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nods_are_the_sweeps_that_were_driven_through() {
+        let sweep = |seconds, driven_m| SweepReport { seconds, driven_m, ..Default::default() };
+        let totals =
+            NodTotals::of(&[sweep(9.0, None), sweep(8.0, Some(1.0)), sweep(4.0, Some(0.5))]);
+        assert_eq!((totals.count, totals.seconds, totals.driven_m), (2, 12.0, 1.5));
+        assert_eq!((totals.metres_per_nod, totals.seconds_per_metre), (Some(0.75), Some(8.0)));
+        let none = NodTotals::of(&[sweep(9.0, None)]);
+        assert_eq!((none.count, none.metres_per_nod, none.seconds_per_metre), (0, None, None));
+    }
 }

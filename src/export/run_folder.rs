@@ -5,8 +5,8 @@ use super::landmarks::{landmark_json, landmark_polygon};
 use super::map_picture::{self, Overlay};
 use super::map_server::{Cell, TrinaryMap};
 use super::report::{
-    FrontierLeft, PhaseReport, Report, SurfaceCounts, SweepBudget, SweepReport, TimeSplit,
-    VictimCounts,
+    FrontierLeft, NodTotals, PhaseReport, Report, SurfaceCounts, SweepBudget, SweepReport,
+    TimeSplit, VictimCounts,
 };
 use super::tum::{self, TimedPose};
 use super::{map3d, ply};
@@ -60,8 +60,10 @@ pub fn agent_report(agent: &Agent, scenario: &str, seed: u64) -> Report {
                 idle: sweep.budget.idle_s,
             },
             tilt_sigma_deg: sweep.tilt_sigma_rad.to_degrees(),
+            driven_m: sweep.driven_m,
         })
         .collect();
+    report.nods = NodTotals::of(&report.sweeps);
     let [planes, spheres, cylinders] = ledger.surfaces;
     report.surfaces = SurfaceCounts { planes, spheres, cylinders };
     report.landmarks = running.belief().mapper().landmarks().len();

@@ -3,6 +3,7 @@
 use super::agent_config::{Source, agent_config};
 use super::pcd::read_pcd;
 use super::{scenario, world};
+use crate::acquisition::{HEADING, RecordedTriples};
 use crate::config::{self, ConfigError};
 use crate::protocol::capture::Capture;
 use crate::record::{self, MAGIC};
@@ -18,6 +19,8 @@ pub enum Kind {
     Session,
     /// Text with a server's lines in it.
     Captured,
+    /// A record of synchronised triples.
+    Triples,
     /// A PCD cloud.
     Scan,
     /// A scenario.
@@ -35,6 +38,7 @@ impl fmt::Display for Kind {
         f.write_str(match self {
             Self::Session => "session",
             Self::Captured => "captured text",
+            Self::Triples => "triples",
             Self::Scan => "scan",
             Self::Scenario => "scenario",
             Self::Map => "map",
@@ -48,6 +52,9 @@ impl fmt::Display for Kind {
 pub fn kind_of(path: &Path, bytes: &[u8]) -> Option<Kind> {
     if bytes.starts_with(MAGIC) {
         return Some(Kind::Session);
+    }
+    if bytes.starts_with(HEADING.as_bytes()) {
+        return Some(Kind::Triples);
     }
     let has_ending =
         |ending: &str| path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending));
@@ -109,6 +116,10 @@ pub fn check(path: &Path, bytes: &[u8]) -> Verdict {
             Err(error) => vec![format!("{name}: {error}")],
         },
         Kind::Captured => Vec::new(),
+        Kind::Triples => match RecordedTriples::parse(&String::from_utf8_lossy(bytes)) {
+            Ok(_) => Vec::new(),
+            Err(error) => vec![format!("{name}: {error}")],
+        },
         Kind::Scan => match read_pcd(bytes).and_then(super::pcd::Cloud::into_grid) {
             Ok(_) => Vec::new(),
             Err(error) => vec![format!("{name}: {error}")],
@@ -173,6 +184,7 @@ mod tests {
     fn files_are_known_by_their_content() {
         let kind = |name: &str, text: &str| kind_of(Path::new(name), text.as_bytes());
         assert_eq!(kind("s", "USARSES\nxyz"), Some(Kind::Session));
+        assert_eq!(kind("t.txt", "usar triples 1\n"), Some(Kind::Triples));
         assert_eq!(kind("x.pcd", ""), Some(Kind::Scan));
         assert_eq!(kind("x", "# .PCD v0.7\nVERSION 0.7\n"), Some(Kind::Scan));
         assert_eq!(kind("a.toml", "map = \"m.toml\"\n"), Some(Kind::Scenario));

@@ -50,6 +50,8 @@ pub struct SweepEntry {
     pub budget: TimeBudget,
     /// Standard deviation of the tilts of single rows, in radians.
     pub tilt_sigma_rad: f64,
+    /// Metres driven meanwhile; `None` for a sweep taken standing.
+    pub driven_m: Option<f64>,
 }
 
 /// The running account of a mission.
@@ -94,6 +96,7 @@ impl Ledger {
             seconds: scan.seconds(),
             budget: scan.budget,
             tilt_sigma_rad: scan.errors.tilt_row_rad,
+            driven_m: scan.driven_m,
         });
     }
 }

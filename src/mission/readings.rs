@@ -7,7 +7,7 @@ use crate::protocol::Message;
 use crate::protocol::message::Sen;
 use crate::robot::{HeadPose, HeadReading, InsReading, OdometryReading};
 use crate::scan::LaserLine;
-use crate::time::Stamp;
+use crate::time::{Span, Stamp};
 use nalgebra::Isometry3;
 
 impl Running {
@@ -110,6 +110,12 @@ impl Running {
 
     fn joints(&mut self, reading: HeadReading, desk: &mut Desk<'_>) {
         self.head_event(&HeadEvent::Joints(reading), desk);
+    }
+
+    /// How long after a laser line's stamp its rays are cast, once a calibration has found it.
+    pub fn line_lag(&self) -> Option<Span> {
+        let acquisition = self.acquisition.as_ref().filter(|found| found.is_calibrated())?;
+        Some(acquisition.control().timing().line_lag)
     }
 
     /// The head's pose at the newest stamp, at zero where it is not known.

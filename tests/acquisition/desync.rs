@@ -4,7 +4,7 @@ use super::bench::{Bench, Setting};
 use super::planes::{PlaneErrors, lines_of, plane_errors, truth_of};
 use nalgebra::Point2;
 use usar_agent::acquisition::{
-    AcquisitionConfig, RecordedTriples, SweepRequest, Triple, scan_by_request,
+    AcquisitionConfig, RecordedTriples, SweepRequest, TiltMount, Triple, scan_by_request,
 };
 use usar_agent::export::canvas::{Canvas, Colour};
 use usar_agent::protocol::Dialect;
@@ -40,10 +40,10 @@ fn errors_at(
     late: Span,
     (bench, record, truth): &(Bench, RecordedTriples, RangeImage),
 ) -> PlaneErrors {
-    let head = &bench.rig.laser.as_ref().unwrap().head;
+    let mount = TiltMount::of(&bench.rig.laser.as_ref().unwrap().head).unwrap();
     let mut source = record.clone().desynchronised(late, Span::ZERO);
     let every_line = (Stamp(i64::MIN / 2), Span::ZERO, record.triples().len());
-    let image = scan_by_request(&mut source, every_line, head).unwrap();
+    let image = scan_by_request(&mut source, every_line, &mount).unwrap();
     plane_errors(&image, truth)
 }
 

@@ -1,7 +1,7 @@
 //! What goes wrong with scans: each ends in a usable part of one, and a line that says so.
 
 use super::bench::{Bench, Setting, quantile};
-use usar_agent::acquisition::{AcquisitionConfig, Scan, SweepRequest};
+use usar_agent::acquisition::{AcquisitionConfig, Profile, QuarterDegrees, Scan, SweepRequest};
 use usar_agent::protocol::Dialect;
 use usar_agent::sim::{FaultKind, FaultSpec};
 
@@ -50,6 +50,53 @@ fn a_laser_that_stops_leaves_the_rows_before() {
     let (bench, scan) = scan_with(FaultKind::SensorLoss, Some("RangeScanner"), None);
     assert!(!scan.complete);
     usable(&bench, &scan, "the laser has been silent");
+}
+
+/// The same with messages held back up to a second, each by chance, and overtaken by others.
+fn disordered(what: &str) -> (Bench, Scan) {
+    scan_with(FaultKind::Reorder, Some(what), Some(1.0))
+}
+
+#[test]
+fn readings_out_of_order_and_late_count_by_their_own_times() {
+    let (bench, scan) = disordered("MISSTA");
+    assert!(scan.complete && scan.filed >= 210, "{} rows: {:?}", scan.filed, scan.remarks);
+    usable(&bench, &scan, "readings of the tilt and 0 lines came out of order");
+    usable(&bench, &scan, "readings came late");
+}
+
+#[test]
+fn lines_out_of_order_and_late_become_rows_in_their_places() {
+    let (bench, scan) = disordered("RangeScanner");
+    assert!(scan.filed >= 200, "{} rows: {:?}", scan.filed, scan.remarks);
+    assert!(scan.image.rows().is_sorted_by_key(|row| row.stamp));
+    usable(&bench, &scan, "0 readings of the tilt and ");
+    usable(&bench, &scan, "lines came out of order");
+}
+
+#[test]
+fn a_sweep_at_rest_files_no_row_by_a_line_or_reading_of_another() {
+    for what in ["MISSTA", "RangeScanner"] {
+        let fault = FaultSpec {
+            at_s: 3.0,
+            for_s: None,
+            robot: None,
+            kind: FaultKind::Reorder,
+            what: Some(what.to_owned()),
+            value: Some(1.0),
+        };
+        let setting = Setting { faults: vec![fault], ..Setting::new(Dialect::Ut2004, true) };
+        let mut bench = Bench::new(&setting, AcquisitionConfig::default());
+        let profile =
+            Profile { name: "at rest".into(), tilts: (0..30).map(QuarterDegrees).collect() };
+        let paper = SweepRequest::paper(bench.acquisition.config());
+        let scan = bench.take(SweepRequest { profile, ..paper });
+        let errors = bench.tilt_errors_deg(&scan);
+        assert!(scan.filed >= 28, "{what}: {} rows: {:?}", scan.filed, scan.remarks);
+        assert!(quantile(&errors, 1.0) <= 0.0125, "{what}: {errors:?}");
+        let told = |part: &str| scan.remarks.iter().any(|remark| remark.contains(part));
+        assert!(told("came out of order"), "{what}: {:?}", scan.remarks);
+    }
 }
 
 #[test]

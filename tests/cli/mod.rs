@@ -59,8 +59,8 @@ fn mission(folder: &TempDir, name: &str, seconds: &str) -> std::path::PathBuf {
 #[test]
 fn every_verb_shows_an_example_in_its_help() {
     let verbs = [
-        "demo", "mission", "sim", "run", "replay", "segment", "map", "paper", "export", "eval",
-        "info", "check",
+        "demo", "mission", "sim", "run", "replay", "scan", "segment", "map", "paper", "export",
+        "eval", "info", "check",
     ];
     for verb in verbs {
         let output = usar(&[verb, "--help"]);
@@ -186,6 +186,61 @@ fn a_run_is_recorded_verified_scored_and_exported() {
     // A recording is never overwritten.
     let arguments = ["mission", "box", "--time-limit", "1", "--out", text(&one)];
     fails_with(&arguments, &["holds a recording", "--force"]);
+}
+
+#[test]
+fn recorded_triples_of_a_session_become_a_scan_that_can_be_segmented() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("continuous.toml");
+    fs::write(&config, "[mission]\nfine_sweep = \"continuous\"\n").unwrap();
+    let run = folder.path().join("run");
+    let arguments = ["mission", "box", "--time-limit", "60", "--config", text(&config), "--out"];
+    let output = usar(&[&arguments[..], &[text(&run)]].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    let swept: serde_json::Value =
+        serde_json::from_slice(&fs::read(run.join("report.json")).unwrap()).unwrap();
+    let live = swept["sweeps"].as_array().unwrap();
+    let live = live.iter().find(|sweep| sweep["profile"] == "continuous").expect("it was taken");
+
+    // From the session to triples, and from their text to the scan.
+    let (triples, scan) = (folder.path().join("triples.txt"), folder.path().join("scan.pcd"));
+    let output = usar(&["scan", text(&run), "--triples", text(&triples)]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let checked = usar(&["check", text(&triples)]);
+    assert!(String::from_utf8_lossy(&checked.stdout).contains("valid triples"));
+    let output = usar(&["scan", text(&triples), "-o", text(&scan), "--format", "json"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let found: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let sweep = &found["sweeps"][found["written"].as_u64().unwrap() as usize - 1];
+    assert!((number(&sweep["rows"]) - number(&live["rows"])).abs() <= 3.0, "{sweep} {live}");
+    assert!((number(&sweep["rate_rad_s"]).abs() - 0.05).abs() < 0.005, "{sweep}");
+    assert_eq!(sweep["columns"].as_u64(), Some(181));
+
+    // Floor and walls of the box, and none of them where the tilts are those of half a second later.
+    let planes = |scan: &Path| {
+        let output = usar(&["segment", text(scan), "--format", "json"]);
+        assert!(output.status.success(), "{}", stderr(&output));
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let floor = |said: &str| -> f64 {
+        let said: serde_json::Value = serde_json::from_str(said).unwrap();
+        let surfaces = said["surfaces"].as_array().unwrap().clone();
+        let level =
+            surfaces.iter().filter(|s| s["kind"] == "plane" && number(&s["points"]) > 500.0);
+        level.map(|s| number(&s["normal"][2]).abs()).fold(0.0, f64::max)
+    };
+    let in_time = floor(&planes(&scan));
+    let late = folder.path().join("late.pcd");
+    let arguments = ["scan", text(&triples), "--tilt-late", "0.5", "-o", text(&late)];
+    assert!(usar(&arguments).status.success());
+    let desynchronised = floor(&planes(&late));
+    let degrees = |z: f64| z.acos().to_degrees();
+    assert!(degrees(in_time) < 0.3, "{}°", degrees(in_time));
+    assert!(degrees(desynchronised) > 0.8, "{}°", degrees(desynchronised));
+
+    fs::write(&triples, "usar triples 1\n1 2 x\n").unwrap();
+    fails_with(&["scan", text(&triples)], &["triples.txt", "line 2", "`x` is no number"]);
 }
 
 #[test]

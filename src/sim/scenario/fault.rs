@@ -25,7 +25,7 @@ pub struct FaultSpec {
     pub value: Option<f64>,
 }
 
-/// Kinds of faults. The first seven happen between the session and the connection.
+/// Kinds of faults. The first eight happen between the session and the connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -33,6 +33,8 @@ pub enum FaultKind {
     Drop,
     /// Lines come `value` (0.5) seconds late.
     Delay,
+    /// Lines come up to `value` (0.5) seconds late, each by its own chance, and others overtake them.
+    Reorder,
     /// Lines come twice, with probability `value` (1).
     Duplicate,
     /// Lines come in two pieces, the second `value` (0.05) seconds late.

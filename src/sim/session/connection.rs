@@ -1,6 +1,6 @@
 //! One client's end: bytes in, commands out; lines in, bytes out, as faults allow.
 
-use super::fault::Shaping;
+use super::fault::{Piece, Shaping};
 use crate::protocol::command::Query;
 use crate::protocol::{Command, Dialect, Framed, LineSplitter, parse_command};
 use crate::sim::physics::RobotKey;
@@ -47,6 +47,10 @@ pub(super) struct Connection {
     ready: Vec<u8>,
     /// Pieces under way, in the order in which they arrive.
     under_way: VecDeque<(Stamp, Vec<u8>)>,
+    /// Whole lines that others overtake, in the order in which they arrive.
+    strays: VecDeque<(Stamp, Vec<u8>)>,
+    /// The last octet delivered was not the end of a line.
+    mid_line: bool,
 }
 
 impl Connection {
@@ -65,6 +69,8 @@ impl Connection {
             commands: VecDeque::new(),
             ready: Vec::new(),
             under_way: VecDeque::new(),
+            strays: VecDeque::new(),
+            mid_line: false,
         }
     }
 
@@ -106,32 +112,49 @@ impl Connection {
         if self.closed {
             return;
         }
-        for (late, piece) in shaping.shape(line) {
-            self.put(piece, now, late);
+        for piece in shaping.shape(line) {
+            self.put(piece, now);
         }
-        let unread: usize =
-            self.ready.len() + self.under_way.iter().map(|(_, piece)| piece.len()).sum::<usize>();
+        let waiting = self.under_way.iter().chain(&self.strays);
+        let unread: usize = self.ready.len() + waiting.map(|(_, bytes)| bytes.len()).sum::<usize>();
         if unread > MOST_UNREAD {
             self.close();
         }
     }
 
-    fn put(&mut self, piece: Vec<u8>, now: Stamp, late: Span) {
+    fn put(&mut self, piece: Piece, now: Stamp) {
+        let Piece { bytes, late, overtaken } = piece;
         let due = now + late;
+        if overtaken {
+            // Not TCP's doing: a server that sends its lines in another order than it made them.
+            let at = self.strays.partition_point(|(other, _)| *other <= due);
+            self.strays.insert(at, (due, bytes));
+            return;
+        }
         if late == Span::ZERO && self.under_way.is_empty() {
-            self.ready.extend(piece);
+            self.make_ready(&bytes);
             return;
         }
         // TCP keeps the order: what is sent later arrives no earlier.
         let due = self.under_way.back().map_or(due, |(last, _)| due.max(*last));
-        self.under_way.push_back((due, piece));
+        self.under_way.push_back((due, bytes));
+    }
+
+    fn make_ready(&mut self, bytes: &[u8]) {
+        self.ready.extend(bytes);
+        self.mid_line = bytes.last().is_some_and(|&last| last != b'\n');
     }
 
     /// Lets arrive what is due, unless the line is stalled.
     pub(super) fn deliver(&mut self, now: Stamp, stalled: bool) {
         while !stalled && self.under_way.front().is_some_and(|(due, _)| *due <= now) {
-            let (_, piece) = self.under_way.pop_front().expect("the front was just seen");
-            self.ready.extend(piece);
+            let (_, bytes) = self.under_way.pop_front().expect("the front was just seen");
+            self.make_ready(&bytes);
+        }
+        while !stalled && !self.mid_line && self.strays.front().is_some_and(|(due, _)| *due <= now)
+        {
+            let (_, bytes) = self.strays.pop_front().expect("the front was just seen");
+            self.make_ready(&bytes);
         }
     }
 
@@ -143,6 +166,7 @@ impl Connection {
         self.closed = true;
         self.commands.clear();
         self.under_way.clear();
+        self.strays.clear();
     }
 
     /// All robots that this client made; it has none after that.
@@ -167,7 +191,45 @@ fn before_keyless(line: &[u8]) -> &[u8] {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fault::Faults;
     use super::*;
+    use crate::sim::scenario::{FaultKind, FaultSpec};
+
+    #[test]
+    fn lines_overtake_those_that_are_held_back_and_none_is_lost() {
+        let spec = FaultSpec {
+            at_s: 0.0,
+            for_s: None,
+            robot: None,
+            kind: FaultKind::Reorder,
+            what: Some("MISSTA".to_owned()),
+            value: Some(1.0),
+        };
+        let mut faults = Faults::new(vec![spec], Stamp(0), 1);
+        let mut connection = Connection::new(Dialect::Ut2004);
+        let mut came = Vec::new();
+        for i in 0..40 {
+            let now = Stamp::from_seconds(0.2 * f64::from(i));
+            if i < 30 {
+                for verb in ["MISSTA", "STA"] {
+                    let line = format!("{verb} {i}\r\n").into_bytes();
+                    connection.send(line, now, &mut faults.shaping("R1", now));
+                }
+            }
+            connection.deliver(now, false);
+            came.extend(connection.take_output());
+        }
+        let text = String::from_utf8(came).unwrap();
+        let of = |verb: &str| -> Vec<u32> {
+            let lines = text.lines().filter_map(|line| line.strip_prefix(verb));
+            lines.map(|number| number.trim().parse().unwrap()).collect()
+        };
+        let (mut strays, others) = (of("MISSTA "), of("STA "));
+        assert!(others.is_sorted() && others.len() == 30, "{others:?}");
+        assert!(!strays.is_sorted(), "{strays:?}");
+        strays.sort_unstable();
+        assert_eq!(strays, (0..30).collect::<Vec<_>>());
+    }
 
     #[test]
     fn udk_finds_nothing_behind_a_segment_without_a_value() {

@@ -39,6 +39,7 @@ pub(super) struct Sudden {
 }
 
 const DEFAULT_DELAY_S: f64 = 0.5;
+const DEFAULT_REORDER_S: f64 = 0.5;
 const DEFAULT_SPLIT_S: f64 = 0.05;
 
 impl Faults {
@@ -108,6 +109,7 @@ impl Faults {
                     fault.kind,
                     FaultKind::Drop
                         | FaultKind::Delay
+                        | FaultKind::Reorder
                         | FaultKind::Duplicate
                         | FaultKind::Split
                         | FaultKind::Garble
@@ -131,10 +133,21 @@ pub(super) struct Shaping<'a> {
     noise: &'a mut Noise,
 }
 
+/// A line, or a part of one, on its way.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Piece {
+    pub(super) bytes: Vec<u8>,
+    /// How late it comes.
+    pub(super) late: Span,
+    /// Whether what is sent after it may arrive before it.
+    pub(super) overtaken: bool,
+}
+
 impl Shaping<'_> {
-    /// The pieces of a line and how late each comes.
-    pub(super) fn shape(&mut self, line: Vec<u8>) -> Vec<(Span, Vec<u8>)> {
+    /// The pieces of a line.
+    pub(super) fn shape(&mut self, line: Vec<u8>) -> Vec<Piece> {
         let mut line = line;
+        let mut overtaken = false;
         let mut late = Span::ZERO;
         let mut copies = 1;
         let mut cut_late = None;
@@ -153,6 +166,11 @@ impl Shaping<'_> {
                 FaultKind::Duplicate if chance() => copies += 1,
                 FaultKind::Garble if chance() => garble(&mut line, self.noise),
                 FaultKind::Delay => late += Span::from_seconds(value.unwrap_or(DEFAULT_DELAY_S)),
+                FaultKind::Reorder => {
+                    let most_s = value.unwrap_or(DEFAULT_REORDER_S);
+                    late += Span::from_seconds(most_s * self.noise.unit());
+                    overtaken = true;
+                }
                 FaultKind::Split => {
                     cut_late = Some(Span::from_seconds(value.unwrap_or(DEFAULT_SPLIT_S)));
                 }
@@ -164,12 +182,17 @@ impl Shaping<'_> {
         let mut pieces = Vec::new();
         for _ in 0..copies {
             match cut_late {
+                // Other lines must not come between the two parts of one.
                 Some(gap) if line.len() > 1 => {
                     let (head, tail) = line.split_at(line.len() / 2);
-                    pieces.push((late, head.to_vec()));
-                    pieces.push((late + gap, tail.to_vec()));
+                    let piece = |bytes: &[u8], late| Piece {
+                        bytes: bytes.to_vec(),
+                        late,
+                        overtaken: false,
+                    };
+                    pieces.extend([piece(head, late), piece(tail, late + gap)]);
                 }
-                _ => pieces.push((late, line.clone())),
+                _ => pieces.push(Piece { bytes: line.clone(), late, overtaken }),
             }
         }
         pieces
@@ -212,7 +235,7 @@ mod tests {
         }
     }
 
-    fn shaped(fault: FaultSpec, at_s: f64, line: &str) -> Vec<(Span, Vec<u8>)> {
+    fn shaped(fault: FaultSpec, at_s: f64, line: &str) -> Vec<Piece> {
         let mut faults = Faults::new(vec![fault], Stamp(0), 1);
         faults.shaping("R1", Stamp::from_seconds(at_s)).shape(line.as_bytes().to_vec())
     }
@@ -236,23 +259,16 @@ mod tests {
     fn lines_are_doubled_split_delayed_and_garbled() {
         assert_eq!(shaped(fault(FaultKind::Duplicate, None, None), 2.0, LASER).len(), 2);
         let split = shaped(fault(FaultKind::Split, None, Some(0.1)), 2.0, LASER);
-        assert_eq!(split.concat_bytes(), LASER.as_bytes());
-        assert_eq!(split[1].0, Span::from_millis(100));
+        assert_eq!([&split[0].bytes[..], &split[1].bytes].concat(), LASER.as_bytes());
+        assert_eq!(split[1].late, Span::from_millis(100));
         let late = shaped(fault(FaultKind::Delay, None, Some(0.3)), 2.0, LASER);
-        assert_eq!(late[0].0, Span::from_millis(300));
+        assert_eq!((late[0].late, late[0].overtaken), (Span::from_millis(300), false));
+        let disordered = shaped(fault(FaultKind::Reorder, None, Some(0.3)), 2.0, LASER);
+        let late_s = disordered[0].late.seconds();
+        assert!(disordered[0].overtaken && late_s > 0.0 && late_s < 0.3, "{late_s} s");
         let garbled = shaped(fault(FaultKind::Garble, None, None), 2.0, LASER);
-        let changed = garbled[0].1.iter().zip(LASER.bytes()).filter(|(a, b)| **a != *b).count();
-        assert_eq!((garbled[0].1.len(), changed), (LASER.len(), 1));
-    }
-
-    trait Concat {
-        fn concat_bytes(&self) -> Vec<u8>;
-    }
-
-    impl Concat for Vec<(Span, Vec<u8>)> {
-        fn concat_bytes(&self) -> Vec<u8> {
-            self.iter().flat_map(|(_, piece)| piece.clone()).collect()
-        }
+        let changed = garbled[0].bytes.iter().zip(LASER.bytes()).filter(|(a, b)| **a != *b).count();
+        assert_eq!((garbled[0].bytes.len(), changed), (LASER.len(), 1));
     }
 
     #[test]
