@@ -469,6 +469,10 @@ impl Running {
             // Having moved, a fresh look is worth its time.
             self.give_ups = 0;
             self.look_here(desk);
+        } else if self.give_ups >= WEDGED && self.belief.mend() {
+            desk.info("wedged in: the map is drawn anew from where its sweeps are believed now");
+            self.give_ups = 0;
+            self.activity = Activity::Rest { until: desk.now };
         } else if self.give_ups >= WEDGED {
             self.give_ups = 0;
             desk.warn("wedged in: backing out over the own track");

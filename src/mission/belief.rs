@@ -24,12 +24,38 @@ use std::ops::Range;
 /// Dead-reckoned poses kept for looking up where a line was taken.
 const HISTORY: usize = 64;
 
-/// Motion of a sweep since its points entered the terrain from which on all is drawn anew, in metres:
-/// two faces of one wall then lie in different cells, and a floor shows a step.
-const REDRAW_FROM_M: f64 = 0.03;
+/// By how much a sweep may be believed elsewhere than where its points lie in the terrain.
+#[derive(Clone, Copy)]
+struct Tolerance {
+    /// Sideways, in metres.
+    aside_m: f64,
+    /// In height, in metres.
+    height_m: f64,
+    /// About the vertical, in radians.
+    turn_rad: f64,
+    /// About any level axis, in radians.
+    tilt_rad: f64,
+}
 
-/// The same for its rotation, in radians: 0.03 m at the distance within which ground is judged.
-const REDRAW_FROM_RAD: f64 = 0.006;
+/// What a terrain bears: beyond it two faces of a wall lie in different cells, and two sweeps of one
+/// floor show a step.
+const BORNE: Tolerance =
+    Tolerance { aside_m: 0.03, height_m: 0.015, turn_rad: 0.006, tilt_rad: 0.004 };
+
+/// What need not be mended even where the terrain has turned out wrong.
+const NOTHING: Tolerance =
+    Tolerance { aside_m: 0.002, height_m: 0.002, turn_rad: 5e-4, tilt_rad: 5e-4 };
+
+impl Tolerance {
+    fn bears(&self, before: &Isometry3<f64>, now: &Isometry3<f64>) -> bool {
+        let way = now.translation.vector - before.translation.vector;
+        let turn = (now.rotation * before.rotation.inverse()).scaled_axis();
+        way.xy().norm() <= self.aside_m
+            && way.z.abs() <= self.height_m
+            && turn.z.abs() <= self.turn_rad
+            && turn.xy().norm() <= self.tilt_rad
+    }
+}
 
 /// Settings of what the belief is made of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -317,7 +343,7 @@ impl Belief {
             self.first_from_start = update.world_from_robot.inverse() * self.start;
         }
         self.settled_legs.push(Settled { leg, sweep, entered: update.world_from_robot });
-        let redrawn = self.strayed(&keyframes);
+        let redrawn = self.strayed(&BORNE, &keyframes);
         if redrawn {
             self.redraw(&keyframes);
         } else {
@@ -333,11 +359,28 @@ impl Belief {
     }
 
     /// Whether a sweep is believed elsewhere by now than where its points lie in the terrain.
-    fn strayed(&self, keyframes: &[Isometry3<f64>]) -> bool {
-        self.settled_legs.iter().zip(keyframes).any(|(settled, now)| {
-            let off = settled.entered.inverse() * now;
-            off.translation.vector.norm() > REDRAW_FROM_M || off.rotation.angle() > REDRAW_FROM_RAD
-        })
+    fn strayed(&self, tolerance: &Tolerance, keyframes: &[Isometry3<f64>]) -> bool {
+        let mut settled = self.settled_legs.iter().zip(keyframes);
+        settled.any(|(settled, now)| !tolerance.bears(&settled.entered, now))
+    }
+
+    /// Draws the terrain anew if any sweep is believed elsewhere by now, however little: for a robot
+    /// that the map has shut in. Returns whether it did.
+    pub fn mend(&mut self) -> bool {
+        let keyframes = self.mapper.keyframes();
+        if !self.strayed(&NOTHING, &keyframes) {
+            return false;
+        }
+        self.redraw(&keyframes);
+        self.live = self.settled.clone();
+        let leg = self.leg.from(&self.keyframe_pose());
+        for (image, pose) in leg.images() {
+            self.live.integrate(image, &pose);
+        }
+        for (_, pose) in leg.track() {
+            self.live.drive_over(&pose);
+        }
+        true
     }
 
     /// Draws the settled terrain anew from all that was seen, where it is believed now.

@@ -112,6 +112,11 @@ impl Recovery {
         self.rung
     }
 
+    /// Whether the robot could turn about at `pose` without touching anything.
+    fn can_turn(&self, grid: &Grid, pose: &Pose2) -> bool {
+        self.footprint.turn_conflict(grid, pose, std::f64::consts::PI).is_none()
+    }
+
     /// The next command, for a robot at `pose` with this track behind it.
     pub fn step(&mut self, now: Arrival, pose: &Pose2, trail: &Trail, grid: &Grid) -> RecoveryStep {
         loop {
@@ -129,7 +134,10 @@ impl Recovery {
                     } else {
                         self.config.back_farther_m
                     };
-                    if moved_m >= 0.9 * goal_m {
+                    // Out of a corner means to where it can turn: else the next way ends here again.
+                    let is_out = moved_m >= 0.9 * goal_m
+                        && (moved_m >= self.config.back_farther_m || self.can_turn(grid, pose));
+                    if is_out {
                         return RecoveryStep::Recovered;
                     }
                     let (mps, rps) = (self.config.back_mps, self.config.turn_rps);
@@ -216,6 +224,15 @@ mod tests {
 
     /// Runs a recovery at 5 Hz; `grip` scales the robot's motion. Returns the end, seconds, rungs.
     fn run(trouble: Trouble, trail: &Trail, grip: f64) -> (RecoveryStep, f64, Vec<Rung>, Pose2) {
+        run_in(&open_grid(), trouble, trail, grip)
+    }
+
+    fn run_in(
+        grid: &Grid,
+        trouble: Trouble,
+        trail: &Trail,
+        grip: f64,
+    ) -> (RecoveryStep, f64, Vec<Rung>, Pose2) {
         let mut trail = trail.clone();
         let mut pose = Pose2 { x_m: 1.95, y_m: 0.0, yaw_rad: 0.0 };
         let shape = RobotShape::default();
@@ -224,7 +241,7 @@ mod tests {
         let mut rungs = Vec::new();
         for tick in 0..1000 {
             let now = Arrival::from_seconds(0.2 * f64::from(tick));
-            match recovery.step(now, &pose, &trail, &open_grid()) {
+            match recovery.step(now, &pose, &trail, grid) {
                 RecoveryStep::Try(rung, command) => {
                     if rungs.last() != Some(&rung) {
                         rungs.push(rung);
@@ -247,6 +264,23 @@ mod tests {
         assert_eq!(end, RecoveryStep::Recovered);
         assert_eq!(rungs, [Rung::Pause, Rung::BackOut]);
         assert!(seconds < 5.0 && pose.x_m < 1.65 && pose.y_m.abs() < 0.01);
+    }
+
+    #[test]
+    fn out_of_a_corner_means_to_where_it_can_turn() {
+        // A wall 0.3 m beside the track, from 1.4 m on: the hull passes along it and cannot turn.
+        let mut cells = vec![open_grid().cells()[0]; 40_000];
+        for x in 128..200 {
+            cells[106 * 200 + x].class = CellClass::Occupied;
+        }
+        for cell in &mut cells {
+            cell.room_m = 0.3;
+        }
+        let grid = Grid::from_cells(0.05, CellIndex { x: -100, y: -100 }, 200, cells);
+        let (end, _, rungs, pose) = run_in(&grid, STUCK, &track(), 1.0);
+        assert_eq!(end, RecoveryStep::Recovered);
+        assert_eq!(rungs, [Rung::Pause, Rung::BackOut]);
+        assert!(pose.x_m < 1.25, "{pose:?}");
     }
 
     #[test]

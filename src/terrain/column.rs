@@ -83,6 +83,12 @@ impl Column {
         self.planes[1] | self.planes[2]
     }
 
+    /// The bins that more than one image has hit.
+    pub fn confirmed(&self) -> u64 {
+        const { assert!(HIT_WEIGHT < 4) };
+        self.planes[2]
+    }
+
     /// The bins a ray has passed through since they were last hit.
     pub fn passed(&self) -> u64 {
         self.passed

@@ -107,6 +107,11 @@ impl Chunk {
         self.gather(cell, first_bin, Column::occupied)
     }
 
+    /// Bins of the 64 that start at `first_bin` that more than one image has hit.
+    pub fn confirmed(&self, cell: usize, first_bin: i32) -> u64 {
+        self.gather(cell, first_bin, Column::confirmed)
+    }
+
     /// Bins of the 64 that start at `first_bin` through which a ray passed.
     pub fn passed(&self, cell: usize, first_bin: i32) -> u64 {
         self.gather(cell, first_bin, Column::passed)

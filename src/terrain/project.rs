@@ -26,6 +26,10 @@ const OPAQUE_FROM_M: f64 = 0.30;
 const FLAT_OCCUPIED: i8 = 8;
 const FLAT_FREE: i8 = -8;
 
+/// Steps to the eight cells around one.
+const NEIGHBOURS: [(isize, isize); 8] =
+    [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)];
+
 impl Terrain {
     /// The grid of the level on which the robot stands at `world_from_robot`.
     ///
@@ -176,11 +180,28 @@ impl<'a> Level<'a> {
     }
 
     /// Whether the robot's body over ground at `z_m` would touch something.
+    ///
+    /// One point of one image, with nothing above, below or beside it, is no thing: a ray that grazed
+    /// an edge, or a moment's tilt of the body. Whatever stands there shows again from nearer by, and
+    /// the guard line asks no map.
     fn is_obstructed(&self, at: usize, z_m: f64) -> bool {
         let shape = &self.terrain.shape;
+        let Some((chunk, place)) = self.chunk(at) else { return false };
         // Half a bin up: a bin counts from its centre, or floor noise would fill the lowest one.
         let low_m = z_m + shape.max_step_m + 0.5 * super::column::BIN_M;
-        self.hit_between(at, low_m, z_m + shape.height_m + shape.clearance_m)
+        let high_m = z_m + shape.height_m + shape.clearance_m;
+        let low = bin_of(low_m);
+        let band = bits(0, bin_of(high_m) - low);
+        let hit = chunk.occupied(place, low) & band;
+        if hit == 0 {
+            return false;
+        }
+        hit.count_ones() > 1
+            || chunk.confirmed(place, low) & band != 0
+            || NEIGHBOURS.iter().any(|&(dx, dy)| {
+                self.beside(at, dx, dy)
+                    .is_some_and(|beside| self.hit_between(beside, low_m, high_m))
+            })
     }
 
     fn beside(&self, at: usize, dx: isize, dy: isize) -> Option<usize> {
@@ -211,7 +232,7 @@ impl<'a> Level<'a> {
             }
         }
         while let Some(at) = open.pop_front() {
-            for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)] {
+            for (dx, dy) in NEIGHBOURS {
                 self.step(at, dx, dy, &mut open);
             }
         }
