@@ -75,6 +75,9 @@ struct Motion {
     lines: u32,
 }
 
+/// How far the stamps of lines may run ahead of what they show: then the lag stands in the delay.
+const LINES_LAG: Span = Span::from_millis(-1000);
+
 /// Rows of the reference sweep, one degree apart.
 const REFERENCE_ROWS: i32 = 9;
 const REFERENCE_STEP: i32 = 4;
@@ -282,10 +285,11 @@ impl Calibration {
             })
             .collect();
         let prior = control.tilt.law();
-        let law_of = |seen: &[Observation]| {
-            identify(moving.start_rad, limits, &moving.commands, seen, prior)
+        let law_of = |seen: &[Observation], least: Span| {
+            identify(moving.start_rad, limits, &moving.commands, seen, prior, least)
         };
-        let by_readings = law_of(&readings);
+        // Readings and commands are on one clock. The stamps of lines lag by what nobody has told.
+        let by_readings = law_of(&readings, Span(0));
         let line_lag = by_readings.as_ref().and_then(|fit| {
             let mut track = AxisTrack::new(Some(fit.law), limits, moving.start_rad);
             for &(stamp, demand) in &moving.commands {
@@ -301,7 +305,7 @@ impl Calibration {
             let half = 0.5 * control.rhythm.interval().seconds();
             (Span::from_seconds(half), Span::from_seconds(half / 3.0_f64.sqrt()))
         });
-        let fit = by_readings.or_else(|| law_of(&fixes));
+        let fit = by_readings.or_else(|| law_of(&fixes, LINES_LAG));
         if let Some(fit) = &fit {
             control.adopt(fit, line_lag.or(supposed));
         }

@@ -47,18 +47,20 @@ const FEWEST: usize = 12;
 
 /// The law, of either kind, that explains the observations best; `None` if none does.
 ///
-/// `commands` hold the clock's lower bound at sending; the joint rests at `start_rad` before them.
+/// `commands` hold the clock's lower bound at sending; the joint rests at `start_rad` before them and
+/// obeys no command sooner than `least_delay` after it.
 pub fn identify(
     start_rad: f64,
     limits: Option<AngleSpan>,
     commands: &[(Stamp, Demand)],
     observations: &[Observation],
     prior: Option<ServoLaw>,
+    least_delay: Span,
 ) -> Option<ServoFit> {
     if observations.len() < FEWEST || commands.is_empty() {
         return None;
     }
-    let case = Case { start_rad, limits, commands, observations };
+    let case = Case { start_rad, limits, commands, observations, least_delay };
     let prior_speed = match prior {
         Some(ServoLaw::Hinge { speed_rad_s, .. }) => speed_rad_s,
         Some(ServoLaw::Spring { .. }) | None => 0.17,
@@ -122,12 +124,17 @@ struct Case<'a> {
     limits: Option<AngleSpan>,
     commands: &'a [(Stamp, Demand)],
     observations: &'a [Observation],
+    least_delay: Span,
 }
 
 impl Case<'_> {
+    fn delay(&self, delay_s: f64) -> Span {
+        Span::from_seconds(delay_s.min(2.0)).max(self.least_delay)
+    }
+
     fn track(&self, law: ServoLaw, delay_s: f64) -> AxisTrack {
         let mut track = AxisTrack::new(Some(law), self.limits, self.start_rad);
-        let delay = Span::from_seconds(delay_s.clamp(-1.0, 2.0));
+        let delay = self.delay(delay_s);
         for &(stamp, demand) in self.commands {
             track.demand(stamp + delay, demand);
         }
@@ -144,7 +151,7 @@ impl Case<'_> {
         let residuals = Residuals::of(self.observations, |stamp| track.estimate(stamp))?;
         residuals.acceptable(self.observations.len()).then(|| ServoFit {
             law,
-            delay: Span::from_seconds(delay_s),
+            delay: self.delay(delay_s),
             rms_rad: residuals.rms_rad(),
             time_sigma: residuals.time_sigma(),
             explained: (residuals.explained, self.observations.len()),
@@ -326,7 +333,7 @@ mod tests {
         ) {
             let law = ServoLaw::Hinge { speed_rad_s: speed, gap_rad: gap_deg.to_radians() };
             let (commands, readings) = observed(law, delay, 0.0);
-            let fit = identify(0.0, None, &commands, &readings, Some(ServoLaw::hinge(0.17))).unwrap();
+            let fit = identify(0.0, None, &commands, &readings, Some(ServoLaw::hinge(0.17)), Span(0)).unwrap();
             prop_assert!((fit.delay.seconds() - delay).abs() < 0.008, "{fit:?} for {law:?}");
             prop_assert!(fit.rms_rad < 2e-4, "{fit:?}");
             let (_, lines) = observed(law, delay, lag);
@@ -339,9 +346,21 @@ mod tests {
         fn a_spring_is_found_again(frequency in 4.0..25.0f64, damping in 0.3..1.5f64, delay in 0.0..0.1f64) {
             let law = ServoLaw::Spring { frequency_rad_s: frequency, damping };
             let (commands, readings) = observed(law, delay, 0.0);
-            let fit = identify(0.0, None, &commands, &readings, None).unwrap();
+            let fit = identify(0.0, None, &commands, &readings, None, Span(0)).unwrap();
             prop_assert!(fit.rms_rad < 4e-4, "{fit:?} for {law:?} {delay}");
         }
+    }
+
+    #[test]
+    fn no_joint_obeys_before_it_is_told() {
+        // Readings stamped 30 ms early, as a clock that was read too late makes them look.
+        let law = ServoLaw::hinge(0.17);
+        let (commands, readings) = observed(law, -0.03, 0.0);
+        let free =
+            identify(0.0, None, &commands, &readings, None, Span::from_millis(-1000)).unwrap();
+        assert!(free.delay < Span::from_millis(-25), "{free:?}");
+        let bound = identify(0.0, None, &commands, &readings, None, Span(0));
+        assert!(bound.is_none_or(|fit| fit.delay >= Span(0)), "{bound:?}");
     }
 
     #[test]
@@ -350,7 +369,7 @@ mod tests {
         for (i, reading) in readings.iter_mut().enumerate() {
             reading.angle_rad = 0.1 * ((i * i) as f64).sin();
         }
-        assert_eq!(identify(0.0, None, &commands, &readings, None), None);
-        assert_eq!(identify(0.0, None, &commands, &readings[..5], None), None);
+        assert_eq!(identify(0.0, None, &commands, &readings, None, Span(0)), None);
+        assert_eq!(identify(0.0, None, &commands, &readings[..5], None, Span(0)), None);
     }
 }

@@ -125,6 +125,8 @@ pub struct Running {
     pub(super) bridged: Vec<Pose2>,
     /// Last resorts tried since the robot last had somewhere to go.
     pub(super) resorts: u32,
+    /// Whether a calibration that found nothing was repeated.
+    pub(super) calibrated_again: bool,
     /// Looks to the other sides that were taken, or tried, where the robot began.
     pub(super) looks_around: u32,
     pub(super) give_ups: u32,
@@ -188,6 +190,7 @@ impl Running {
             shunned: Vec::new(),
             bridged: Vec::new(),
             resorts: 0,
+            calibrated_again: false,
             looks_around: 0,
             give_ups: 0,
             battery_s: None,

@@ -2,7 +2,7 @@
 
 use super::floor::floor_below_m;
 use super::pilot::Pilot;
-use super::running::{Desk, Running, explorer, shape_of};
+use super::running::{Desk, Look, Running, explorer, shape_of};
 use crate::acquisition::{HeadAction, HeadEvent, Profile, Scan};
 
 impl Running {
@@ -24,6 +24,12 @@ impl Running {
                 HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
                 HeadAction::Calibrated(report) => {
                     desk.info(format!("pan-tilt: {}", report.text));
+                    // A server that stalled, or a moment's rubbish, must not slow every later sweep.
+                    if report.fit.is_none() && !self.calibrated_again {
+                        self.calibrated_again = true;
+                        desk.info("pan-tilt: once more");
+                        self.queue.push_front(Look::Calibrate);
+                    }
                     self.next_look_or_choose(desk);
                 }
             }
