@@ -280,6 +280,29 @@ impl Question<'_> {
             .collect()
     }
 
+    /// Observations that an assignment does not take for a plane which they fit, with those planes. To
+    /// leave one out is to say that it is another surface.
+    pub(super) fn left_out(
+        &self,
+        assignment: &Assignment,
+        config: &AssociationConfig,
+    ) -> Vec<(usize, usize)> {
+        let belief = &assignment.belief;
+        let taken: Vec<usize> = assignment.pairs.iter().map(|pair| pair.0).collect();
+        let free = (0..self.observations.len()).filter(|observation| !taken.contains(observation));
+        free.flat_map(|observation| {
+            self.candidates[observation].iter().map(move |&plane| (observation, plane))
+        })
+        .filter(|&(observation, plane)| {
+            let rows = self.rows(belief, observation, plane);
+            // A smaller gap would not have made the search leave it out: it is decided later.
+            rows.h.x.abs() > APART_M
+                && rows.distance_squared() < config.gate
+                && self.comparable(belief, &rows, observation, plane, config)
+        })
+        .collect()
+    }
+
     /// Normalised innovation squared of all observations that were recognised, jointly, under the
     /// belief before any of them; linearised at the pose that they lead to.
     pub(super) fn joint_nis(&self, before: &Belief, after: &Belief, verdicts: &[Verdict]) -> f64 {

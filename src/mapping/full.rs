@@ -28,6 +28,9 @@ const WIDENING: f64 = 4.0;
 const FEW_PAIRS: usize = 3;
 /// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
 const LOG_SELDOM: f64 = -7.0;
+/// Logarithm of how seldom a scan in the midst of a map shows nothing of it. Without it the pairs of a
+/// scan that shows three planes would be left out as often as noise makes all of them miss widely.
+const LOG_UNRECOGNISED: f64 = -5.0;
 /// What one explanation must be behind by while nothing proves it: three scans' worth of a pair that
 /// fits by chance.
 const UNPROVEN: f64 = 9.0;
@@ -36,8 +39,6 @@ const UNPROVEN: f64 = 9.0;
 const AGAINST_PER_CENT: f64 = 3.0;
 const TOLERATED_SHARE: f64 = 0.02;
 const MOST_AGAINST: f64 = 100.0;
-/// What it says against a pose that all wheels would be within a mapped floor, or in the air above it.
-const GROUNDLESS: f64 = 20.0;
 /// Corrections that are looked at twice, whatever the odometry's noise allows, and how many pairs
 /// fewer another explanation may then have.
 const LARGE_M: f64 = 0.1;
@@ -159,18 +160,32 @@ impl Full {
         if large {
             estimate.associate(arrival, config, &mut plain, SLACK);
         }
+        let options = |prepared: &Prepared, place: usize, log_prior: f64| -> Vec<Claim> {
+            let claim = |found: &Assignment| Claim {
+                prepared: place,
+                assignment: found.clone(),
+                log_prior,
+                left_out: estimate.left_out(arrival, config, prepared, found),
+            };
+            prepared.assignments.iter().map(claim).collect()
+        };
+        let mut claims = options(&plain, place, 0.0);
         // That nothing was recognised is an explanation too.
-        let mut options = vec![(place, Assignment::none(&plain.belief), 0.0)];
-        options.extend(plain.assignments.iter().map(|found| (place, found.clone(), 0.0)));
+        claims.push(Claim {
+            prepared: place,
+            assignment: Assignment::none(&plain.belief),
+            log_prior: LOG_UNRECOGNISED,
+            left_out: Vec::new(),
+        });
         prepared.push(plain);
         if few {
             let wide = estimate.prepare(arrival, config, WIDENING);
-            let more = |found: &&Assignment| found.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
-            let found = wide.assignments.iter().filter(more);
-            options.extend(found.map(|found| (place + 1, found.clone(), LOG_SELDOM)));
+            let more =
+                |claim: &Claim| claim.assignment.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
+            claims.extend(options(&wide, place + 1, LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
         }
-        let judged = judge(options, estimate, &predicted, arrival.scan);
+        let judged = judge(claims, estimate, &predicted, arrival.scan);
         branches.extend(judged.into_iter().map(|(prepared, assignment, score)| Branch {
             parent,
             prepared,
@@ -304,10 +319,21 @@ fn weight_of(contradicting_share: f64) -> f64 {
     (100.0 * AGAINST_PER_CENT * excess).min(MOST_AGAINST)
 }
 
-/// Scores of explanations (position of what was prepared, assignment, logarithm of its prior), with
-/// what the map says against them, and without a lead for what is far from the prediction and unproven.
+/// An explanation of a scan before it is judged.
+struct Claim {
+    /// Position of what was prepared.
+    prepared: usize,
+    assignment: Assignment,
+    /// Logarithm of its prior.
+    log_prior: f64,
+    /// See [`Estimate::left_out`].
+    left_out: Vec<(usize, LandmarkId)>,
+}
+
+/// Scores of explanations with what the map says against them, and without a lead for what is far from
+/// the prediction and unproven.
 fn judge(
-    options: Vec<(usize, Assignment, f64)>,
+    claims: Vec<Claim>,
     estimate: &Estimate,
     predicted: &Isometry3<f64>,
     scan: &ScanObservations,
@@ -319,17 +345,14 @@ fn judge(
         refuted: f64,
         far: bool,
     }
-    let judged: Vec<Judged> = options
+    let judged: Vec<Judged> = claims
         .into_iter()
-        .map(|(prepared, assignment, log_prior)| {
+        .map(|Claim { prepared, assignment, log_prior, left_out }| {
             let pose = assignment.belief.world_from_robot;
             let covariance = assignment.belief.pose_covariance();
-            let position = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-            let against = estimate.contradiction(&pose, &position, scan);
+            let against = estimate.contradiction(&pose, &covariance, scan, &left_out);
             let refuted = against.share();
-            let score = assignment.support + log_prior
-                - weight_of(refuted)
-                - GROUNDLESS * against.groundless_share();
+            let score = assignment.support + log_prior + against.footing - weight_of(refuted);
             let far = moves_far(predicted, &pose, FAR_M, FAR_RAD);
             Judged { prepared, assignment, score, refuted, far }
         })

@@ -46,7 +46,7 @@ pub struct ScanObservations {
     /// Errors common to the scan.
     pub errors: ScanErrors,
     /// Where the wheels touch the ground, in the robot frame; empty where that is not known. A pose
-    /// that has a mapped surface between these points and the sensor cannot be.
+    /// under which these points are not on the floors of the map is the less likely, see `sight.rs`.
     #[serde(default)]
     pub contacts: Vec<Point3<f64>>,
 }

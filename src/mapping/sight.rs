@@ -3,10 +3,11 @@
 //! the sensor and the wheels.
 
 use super::estimate::Estimate;
-use super::landmark::Landmark;
+use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
-use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use std::f64::consts::TAU;
 
 /// Most points of one observation that are looked at.
 const SAMPLES_PER_PLANE: usize = 40;
@@ -17,8 +18,12 @@ const KNOWN_BEHIND_M: f64 = 0.05;
 const SIGMAS: f64 = 3.0;
 const BEHIND_M: f64 = 0.15;
 const BEHIND_PER_M: f64 = 0.015;
-/// The same for where the wheels are: they stand on the ground, whatever the sensor sees of it.
-const WHEEL_SIGMAS: f64 = 2.0;
+/// Standard deviation of a wheel's height above the surface that it stands on: a tyre, a carpet, the
+/// fit of a floor. The pose's own adds to it.
+const WHEEL_SIGMA_M: f64 = 0.02;
+/// How often a wheel over a mapped floor does not stand on it: on a plank that no scan has shown, or in
+/// the air at an edge.
+const OFF_THE_FLOOR: f64 = 0.01;
 /// A surface up to this far before a parallel one cannot be: that one was seen, square on, where it
 /// would be hidden.
 const DOUBLED_M: f64 = 0.6;
@@ -36,10 +41,9 @@ pub(super) struct Contradiction {
     pub(super) samples: usize,
     /// Those that lie behind a surface of the map, seen from the sensor, or close before one.
     pub(super) refuted: usize,
-    /// Points where the wheels touch the ground, and those of them that lie behind a surface or hang
-    /// close above a floor.
-    pub(super) contacts: usize,
-    pub(super) groundless: usize,
+    /// Logarithm of how much likelier the wheels' heights over mapped floors are than any height
+    /// within [`DOUBLED_M`] would be; 0 where no floor is mapped under them.
+    pub(super) footing: f64,
 }
 
 impl Contradiction {
@@ -47,56 +51,88 @@ impl Contradiction {
     pub(super) fn share(&self) -> f64 {
         self.refuted as f64 / self.samples.max(1) as f64
     }
-
-    /// Share of the wheels that cannot be where they are said to be.
-    pub(super) fn groundless_share(&self) -> f64 {
-        self.groundless as f64 / self.contacts.max(1) as f64
-    }
 }
 
 impl Estimate {
     /// How many points of the scan lie behind landmarks when the robot stands at `world_from_robot`,
-    /// whose position has that covariance: along each landmark's normal a pose that pairs have fixed is
-    /// held to centimetres, or a robot beside a stair could be a step of 0.18 m higher.
+    /// whose error `[δt; δr]` has that covariance: along each landmark's normal a pose that pairs have
+    /// fixed is held to centimetres, or a robot beside a stair could be a step of 0.18 m higher.
+    ///
+    /// `left_out` are observations that are said not to be a landmark which they fit. Where they lie
+    /// over cells of it that were hit they cannot be anything else: two surfaces that close were not
+    /// both seen square on. What the pose is uncertain by does not excuse that: it is the very question.
     ///
     /// Costs samples × landmarks about the scan; asked only where an association is in doubt.
     pub(super) fn contradiction(
         &self,
         world_from_robot: &Isometry3<f64>,
-        position_covariance: &Matrix3<f64>,
+        covariance: &Matrix6<f64>,
         scan: &ScanObservations,
+        left_out: &[(usize, LandmarkId)],
     ) -> Contradiction {
         let world_from_scan = world_from_robot * scan.robot_from_scan;
         let eye = Point3::from(world_from_scan.translation.vector);
         let hulls = scan.observations.iter().flat_map(Observation::hull_points);
         let around = hulls.chain(scan.contacts.iter().copied());
         let around = around.map(|p| world_from_robot * p).chain([eye]);
+        let position_covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let walls: Vec<Wall<'_>> = self
             .landmarks_about(around)
-            .filter_map(|l| Wall::facing(l, &eye, position_covariance))
+            .filter_map(|l| Wall::facing(l, &eye, &position_covariance))
             .collect();
-        let up = world_from_robot.rotation * Vector3::z();
-        let contacts = scan.contacts.iter().map(|contact| world_from_robot * contact);
-        let groundless = contacts
-            .filter(|p| walls.iter().any(|wall| wall.refutes(p, &up, wall.wheel_margin_m())))
-            .count();
-        let mut found =
-            Contradiction { contacts: scan.contacts.len(), groundless, ..Contradiction::default() };
-        for observation in &scan.observations {
+        let mut found = Contradiction {
+            footing: footing(&walls, world_from_robot, covariance, &scan.contacts),
+            ..Contradiction::default()
+        };
+        for (index, observation) in scan.observations.iter().enumerate() {
             let world_from_plane = world_from_robot * observation.robot_from_plane;
             let normal = world_from_plane.rotation * Vector3::z();
+            let denied = |wall: &Wall<'_>| left_out.contains(&(index, wall.landmark.id));
             let stride = (observation.mask.count() / SAMPLES_PER_PLANE).max(1);
             for cell in observation.mask.cells().step_by(stride) {
                 let point = world_from_plane * Point3::new(cell.x, cell.y, 0.0);
                 found.samples += 1;
-                if walls.iter().any(|wall| wall.refutes(&point, &normal, wall.ray_margin_m(&point)))
-                {
-                    found.refuted += 1;
-                }
+                let refuted = walls.iter().any(|wall| {
+                    let margin_m = if denied(wall) { 0.0 } else { wall.ray_margin_m(&point) };
+                    wall.refutes(&point, &normal, margin_m)
+                });
+                found.refuted += usize::from(refuted);
             }
         }
         found
     }
+}
+
+/// Logarithm of the likelihood of the wheels' heights, beside that of any height within [`DOUBLED_M`].
+///
+/// A wheel over a mapped floor stands on it but for once in [`OFF_THE_FLOOR`]; its height is then
+/// normal with what the pose leaves open, so that a pose which is known to the millimetre and one
+/// which is open by a decimetre are weighed by one rule: the second explains a gap, but explains a
+/// touch less well. The wheels are those of one rigid body and count as one measurement, their mean.
+fn footing(
+    walls: &[Wall<'_>],
+    world_from_robot: &Isometry3<f64>,
+    covariance: &Matrix6<f64>,
+    contacts: &[Point3<f64>],
+) -> f64 {
+    let up = world_from_robot.rotation * Vector3::z();
+    let logs = contacts.iter().map(|contact| {
+        let point = world_from_robot * contact;
+        let arm = point.coords - world_from_robot.translation.vector;
+        let heights = walls.iter().filter_map(|wall| wall.height_of(&point, &up));
+        let nearest = heights.min_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
+        let Some((height_m, wall)) = nearest else {
+            let hidden = walls.iter().any(|w| w.refutes(&point, &up, w.ray_margin_m(&point)));
+            return if hidden { OFF_THE_FLOOR.ln() } else { 0.0 };
+        };
+        let normal = wall.landmark.normal();
+        let turn = arm.cross(&normal);
+        let row = Vector6::new(normal.x, normal.y, normal.z, turn.x, turn.y, turn.z);
+        let variance = WHEEL_SIGMA_M * WHEEL_SIGMA_M + row.dot(&(covariance * row)).max(0.0);
+        let density = (-0.5 * height_m * height_m / variance).exp() / (TAU * variance).sqrt();
+        ((1.0 - OFF_THE_FLOOR) * DOUBLED_M * density + OFF_THE_FLOOR).ln()
+    });
+    logs.sum::<f64>() / contacts.len().max(1) as f64
 }
 
 /// A landmark as seen from a point in front of it.
@@ -146,11 +182,73 @@ impl<'a> Wall<'a> {
         (KNOWN_BEHIND_M + SIGMAS * self.sigma_m).min(BEHIND_M) + BEHIND_PER_M * range_m
     }
 
-    fn wheel_margin_m(&self) -> f64 {
-        KNOWN_BEHIND_M + WHEEL_SIGMAS * self.sigma_m
+    /// Height of a point above the landmark where that is a floor to a robot whose z is `up`, with the
+    /// landmark itself; below it, the floor is where the sensor would see the point through it.
+    fn height_of(&self, point: &Point3<f64>, up: &Vector3<f64>) -> Option<(f64, &Self)> {
+        let target = self.plane_from_world * point;
+        if target.z.abs() > DOUBLED_M || self.landmark.normal().dot(up) < PARALLEL_COSINE {
+            return None;
+        }
+        let ray = target - self.eye;
+        let at = if target.z < 0.0 { self.eye + ray * (self.eye.z / -ray.z) } else { target };
+        self.solid_at(&at).then_some((target.z, self))
     }
 
     fn solid_at(&self, point: &Point3<f64>) -> bool {
         self.landmark.mask.solid_about(&point.xy(), SOLID_CELLS)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::landmark::Landmark;
+    use super::super::mask::PlaneMask;
+    use super::*;
+    use nalgebra::Point2;
+
+    fn floor() -> Landmark {
+        let mut mask = PlaneMask::default();
+        for x in -20..20 {
+            for y in -20..20 {
+                mask.insert(&Point2::new(0.1 * f64::from(x) + 0.05, 0.1 * f64::from(y) + 0.05));
+            }
+        }
+        let corner = |x: f64, y: f64| Point2::new(2.0 * x, 2.0 * y);
+        let seen = Observation {
+            robot_from_plane: Isometry3::identity(),
+            covariance: Matrix3::identity(),
+            hull: vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
+            mask,
+            points: 1600,
+        };
+        Landmark::first_seen(LandmarkId(0), &seen, &Isometry3::identity(), 0)
+    }
+
+    /// Footing of a robot whose wheels are that high above a floor, as far as that is known.
+    fn footing_at(height_m: f64, sigma_m: f64) -> f64 {
+        let floor = floor();
+        let covariance = Matrix6::identity() * (sigma_m * sigma_m);
+        let position = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let wall = Wall::facing(&floor, &Point3::new(0.0, 0.0, 0.6), &position);
+        let contacts = [(0.2, 0.2), (0.2, -0.2), (-0.2, 0.2), (-0.2, -0.2)]
+            .map(|(x, y)| Point3::new(x, y, 0.0));
+        let pose = Isometry3::translation(0.0, 0.0, height_m);
+        footing(&[wall.expect("the eye is above")], &pose, &covariance, &contacts)
+    }
+
+    #[test]
+    fn wheels_speak_for_a_pose_as_far_as_it_is_known() {
+        // On the floor, the better known the likelier; off it, the better known the less likely.
+        assert!(footing_at(0.0, 0.001) > footing_at(0.0, 0.05) + 0.5);
+        assert!(footing_at(0.15, 0.001) < footing_at(0.15, 0.05) - 1.0);
+        assert!(footing_at(-0.15, 0.001) < footing_at(-0.15, 0.05) - 1.0);
+        // A step of 0.15 m up or down is told, more surely than one pair that fits by chance could say.
+        for height_m in [0.15, -0.15] {
+            assert!(footing_at(0.0, 0.001) - footing_at(height_m, 0.001) > 4.5);
+        }
+        // But whatever is under a wheel, it may be a thing that no scan has shown.
+        assert!(footing_at(0.3, 1e-4) >= OFF_THE_FLOOR.ln());
+        // Too high for the floor to have anything to do with it.
+        assert_eq!(footing_at(0.7, 1e-4), 0.0);
     }
 }

@@ -1,7 +1,7 @@
 //! Taking a scan in: new variables and measurements, the solution, and the test after it.
 
 use super::{Arrival, Attitude, Estimate, Keyframe, Prepared, Roots, Sighting};
-use crate::mapping::association::{Assignment, AssociationConfig, Question, Verdict};
+use crate::mapping::association::{Assignment, AssociationConfig, Verdict};
 use crate::mapping::graph::{Factor, FactorId, Value};
 use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::observation::Observation;
@@ -26,12 +26,7 @@ impl Estimate {
     ) -> UpdateReport {
         let observations = &arrival.scan.observations;
         let landmarks = self.named(&prepared.planes);
-        let question = Question {
-            observations,
-            common: &prepared.common,
-            candidates: &prepared.candidates,
-            landmarks: &landmarks,
-        };
+        let question = prepared.question(arrival, &landmarks);
         let mut verdicts = question.decide(assignment, config);
         for index in beyond_the_largest(observations) {
             verdicts[index] = Verdict::Crowded;

@@ -1,7 +1,7 @@
 //! Prediction, and which landmarks a scan may show.
 
 use super::{Arrival, Estimate, Prepared};
-use crate::mapping::association::{AssociationConfig, Question};
+use crate::mapping::association::{Assignment, AssociationConfig, Question};
 use crate::mapping::attitude::attitude_rows;
 use crate::mapping::belief::Belief;
 use crate::mapping::graph::scaled_errors;
@@ -19,6 +19,22 @@ const REACH_SIGMAS: f64 = 3.5;
 /// Limits of what an uncertain pose may open: beyond them nearly everything would be a candidate.
 const MOST_OPEN_M: f64 = 20.0;
 const MOST_OPEN_RAD: f64 = 0.6;
+
+impl Prepared {
+    /// The question which observation is which of `landmarks`, those named by the planes.
+    pub(super) fn question<'a>(
+        &'a self,
+        arrival: &Arrival<'a>,
+        landmarks: &'a [&'a Landmark],
+    ) -> Question<'a> {
+        Question {
+            observations: &arrival.scan.observations,
+            common: &self.common,
+            candidates: &self.candidates,
+            landmarks,
+        }
+    }
+}
 
 impl Estimate {
     /// Predicts the pose, gathers the landmarks that the scan may show, and searches for jointly
@@ -63,13 +79,23 @@ impl Estimate {
         slack: usize,
     ) {
         let landmarks = self.named(&prepared.planes);
-        let question = Question {
-            observations: &arrival.scan.observations,
-            common: &prepared.common,
-            candidates: &prepared.candidates,
-            landmarks: &landmarks,
-        };
+        let question = prepared.question(arrival, &landmarks);
         prepared.assignments = question.search(&prepared.belief, config, slack);
+    }
+
+    /// Observations that an assignment leaves out though they fit a landmark, with those landmarks; see
+    /// [`Question::left_out`].
+    pub(in crate::mapping) fn left_out(
+        &self,
+        arrival: &Arrival<'_>,
+        config: &AssociationConfig,
+        prepared: &Prepared,
+        assignment: &Assignment,
+    ) -> Vec<(usize, LandmarkId)> {
+        let landmarks = self.named(&prepared.planes);
+        let question = prepared.question(arrival, &landmarks);
+        let left_out = question.left_out(assignment, config).into_iter();
+        left_out.map(|(observation, plane)| (observation, prepared.planes[plane])).collect()
     }
 
     pub(super) fn named(&self, planes: &[LandmarkId]) -> Vec<&Landmark> {
