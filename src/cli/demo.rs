@@ -1,6 +1,6 @@
 //! `usar demo`: the main job with nothing to install.
 
-use super::files::write_stdout;
+use super::files::{warn_of_no_console, write_stdout};
 use super::mission::{CommonArguments, Progress, fly, load, summary};
 use anyhow::Result;
 use clap::Args;
@@ -13,6 +13,12 @@ use std::process::ExitCode;
 pub struct DemoArguments {
     #[command(flatten)]
     common: CommonArguments,
+    /// Address of the operator console, or off
+    #[arg(long, value_name = "ADDR", default_value = "off")]
+    console: String,
+    /// Keep the console up after the mission
+    #[arg(long)]
+    stay: bool,
 }
 
 /// Runs the verb: one mission in the station.
@@ -21,6 +27,13 @@ pub struct DemoArguments {
 ///
 /// A run folder that cannot be written.
 pub fn run(arguments: &DemoArguments) -> Result<ExitCode> {
+    warn_of_no_console(&arguments.console);
+    if arguments.stay {
+        eprintln!(
+            "warning: --stay keeps the console up, which is not built yet: the demo ends with its \
+             mission"
+        );
+    }
     eprintln!("one autonomous mission in the railway station, with its own simulator");
     let loaded = load(Path::new("station"), &arguments.common)?;
     let (report, folder) = fly(loaded, &arguments.common, Progress::Lively)?;

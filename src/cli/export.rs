@@ -16,6 +16,9 @@ use std::process::ExitCode;
 /// The command line names something that cannot be.
 const MISUSE: u8 = 2;
 
+/// The recording was cut or damaged, and what could be read of it was exported.
+const DONE_WITH_LOSS: u8 = 3;
+
 /// Side of the cubes that an exported cloud is thinned to, in metres.
 const CLOUD_CELL_M: f64 = 0.05;
 
@@ -83,7 +86,7 @@ pub fn run(arguments: &ExportArguments) -> Result<ExitCode> {
     if !arguments.run.exists() && arguments.run != Path::new("-") {
         bail!("cannot read {}: no such file or folder", arguments.run.display());
     }
-    let mut source = Source { run: &arguments.run, replayed: None };
+    let mut source = Source { run: &arguments.run, replayed: None, loss: false };
     match (arguments.to, arguments.to.file()) {
         (_, Some((name, ending))) => {
             let bytes = source.file(name)?;
@@ -100,13 +103,15 @@ pub fn run(arguments: &ExportArguments) -> Result<ExitCode> {
         }
         _ => map_server(arguments, &mut source)?,
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(if source.loss { ExitCode::from(DONE_WITH_LOSS) } else { ExitCode::SUCCESS })
 }
 
 /// Where the files come from: the run folder as it stands, or the session replayed.
 struct Source<'a> {
     run: &'a Path,
     replayed: Option<(Box<Agent>, Files)>,
+    /// Whether the session is not whole.
+    loss: bool,
 }
 
 impl Source<'_> {
@@ -130,6 +135,7 @@ impl Source<'_> {
             let Session { recording, agent, name, .. } = session::open(self.run, None, false, &[])?;
             if let Some(loss) = &recording.loss {
                 eprintln!("warning: the recording is not whole: {loss}");
+                self.loss = true;
             }
             let mut replay = Replay::new(agent, &recording);
             while replay.step().context("the recording holds an unreadable operator event")? {}

@@ -49,3 +49,10 @@ pub fn median(values: &[f64]) -> f64 {
     sorted.sort_by(f64::total_cmp);
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
 }
+
+/// Says that a console at `address` is not to be had; `off` asks for none.
+pub fn warn_of_no_console(address: &str) {
+    if !address.eq_ignore_ascii_case("off") {
+        eprintln!("warning: the console is not built yet; going on without it");
+    }
+}

@@ -1,6 +1,6 @@
 //! `usar replay`: a recording through the live path.
 
-use super::files::write_stdout;
+use super::files::{warn_of_no_console, write_stdout};
 use super::mission::summary;
 use super::out::RunFolder;
 use super::session::{self, Session};
@@ -75,9 +75,7 @@ fn speed(text: &str) -> Result<Speed, String> {
 ///
 /// A file that is no session, a configuration that cannot be used, a folder that cannot be written.
 pub fn run(arguments: &ReplayArguments) -> Result<ExitCode> {
-    if !arguments.console.eq_ignore_ascii_case("off") {
-        eprintln!("warning: the console is not built yet; going on without it");
-    }
+    warn_of_no_console(&arguments.console);
     let overrides: Vec<Source> =
         arguments.config.iter().map(|path| Source::file(path)).collect::<Result<_, _>>()?;
     let class = arguments.class.as_deref();

@@ -1,6 +1,6 @@
 //! `usar run`: the agent against any USARSim server.
 
-use super::files::{write_stderr, write_stdout};
+use super::files::{warn_of_no_console, write_stderr, write_stdout};
 use super::interrupt;
 use super::keys::{self, Keyboard};
 use super::mission::{positive_seconds, summary};
@@ -122,9 +122,7 @@ fn triple(text: &str) -> Result<[f64; 3], String> {
 ///
 /// A configuration that cannot be used, no server, a run folder that cannot be written, no robot.
 pub fn run(arguments: &RunArguments) -> Result<ExitCode> {
-    if !arguments.console.eq_ignore_ascii_case("off") {
-        eprintln!("warning: the console is not built yet; going on without it");
-    }
+    warn_of_no_console(&arguments.console);
     let config = config(arguments)?;
     RunFolder::check(arguments.out.as_deref(), arguments.force)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()

@@ -80,6 +80,21 @@ fn an_unknown_verb_and_a_bad_value_are_misuse() {
 }
 
 #[test]
+fn a_demo_takes_the_options_of_the_contract() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = |name: &str, console: &str| {
+        let out = folder.path().join(name);
+        let limit = ["demo", "--time-limit", "1", "--stay", "--console", console, "--out"];
+        usar(&[&limit[..], &[text(&out)]].concat())
+    };
+    let off = options("off", "off");
+    assert!(off.status.success() && stderr(&off).contains("--stay"), "{}", stderr(&off));
+    assert!(!stderr(&off).contains("going on without"), "{}", stderr(&off));
+    let asked = options("asked", "127.0.0.1:0");
+    assert!(asked.status.success() && stderr(&asked).contains("going on without it"));
+}
+
+#[test]
 fn no_server_is_one_line_and_leaves_nothing_behind() {
     let folder = tempfile::tempdir().unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -154,6 +169,10 @@ fn a_run_is_recorded_verified_scored_and_exported() {
     let verified = usar(&["replay", text(&cut)]);
     assert_eq!(verified.status.code(), Some(3), "{}", stderr(&verified));
     assert_eq!(usar(&["check", text(&cut)]).status.code(), Some(3));
+    let tum = folder.path().join("cut.tum");
+    let exported = usar(&["export", text(&cut), "--to", "tum", "-o", text(&tum)]);
+    assert_eq!(exported.status.code(), Some(3), "{}", stderr(&exported));
+    assert!(stderr(&exported).contains("not whole") && tum.exists());
 
     let scored = usar(&["eval", text(&one), text(&two), "--format", "json"]);
     let scores: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
