@@ -61,7 +61,7 @@ pub enum Format {
 /// Where the time of all sweeps went, and what nods cost.
 fn sweep_times(report: &Report) -> String {
     let sum = |part: fn(&SweepBudget) -> f64| -> f64 {
-        report.sweeps.iter().map(|sweep| part(&sweep.budget_s)).sum()
+        report.sweeps.iter().fold(0.0, |sum, sweep| sum + part(&sweep.budget_s))
     };
     let mut text = format!(
         "  sweeps   tilt moving {:.0} s, servo {:.0} s, laser {:.0} s, idle {:.0} s",

@@ -121,8 +121,9 @@ impl NodTotals {
     pub fn of(sweeps: &[SweepReport]) -> Self {
         let nods = || sweeps.iter().filter_map(|sweep| Some((sweep.seconds, sweep.driven_m?)));
         let count = nods().count();
-        let seconds = nods().map(|nod| nod.0).sum();
-        let driven_m = nods().map(|nod| nod.1).sum();
+        // Not `sum`, which makes -0 of nothing.
+        let seconds = nods().fold(0.0, |sum, nod| sum + nod.0);
+        let driven_m = nods().fold(0.0, |sum, nod| sum + nod.1);
         Self {
             count,
             seconds,
@@ -234,5 +235,6 @@ mod tests {
         assert_eq!((totals.metres_per_nod, totals.seconds_per_metre), (Some(0.75), Some(8.0)));
         let none = NodTotals::of(&[sweep(9.0, None)]);
         assert_eq!((none.count, none.metres_per_nod, none.seconds_per_metre), (0, None, None));
+        assert!(none.seconds.is_sign_positive() && none.driven_m.is_sign_positive());
     }
 }

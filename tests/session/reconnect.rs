@@ -25,7 +25,7 @@ fn mapped(agent: &Agent) -> (Vec<Vec<u8>>, usize) {
 fn planes_of_a_finished_sweep_outlive_the_connection_and_are_seen_again() {
     let mut loaded = load(Path::new("box"), &[]).unwrap();
     loaded.agent.mission.fine_sweep_at_start = false;
-    loaded.agent.mission.time_limit_s = LOST_AT_S + 45.0;
+    loaded.agent.mission.time_limit_s = LOST_AT_S + 75.0;
     loaded.files.scenario.faults.push(FaultSpec {
         at_s: LOST_AT_S,
         for_s: None,
