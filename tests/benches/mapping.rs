@@ -196,10 +196,29 @@ fn measure(landmarks: usize) -> Measured {
     }
 }
 
+/// Exponent x of a growth as landmarksˣ between two sizes.
+fn exponent(small: (usize, f64), large: (usize, f64)) -> f64 {
+    (large.1 / small.1).ln() / (large.0 as f64 / small.0 as f64).ln()
+}
+
 fn main() {
     println!("{:>10} {:>10} {:>10} {:>14}", "landmarks", "median ms", "worst ms", "state");
+    let mut rows: Vec<Measured> = Vec::new();
     for landmarks in [50, 200, 800, 5000] {
-        let Measured { landmarks, median_ms, worst_ms, bytes } = measure(landmarks);
+        let row = measure(landmarks);
+        let Measured { landmarks, median_ms, worst_ms, bytes } = row;
         println!("{landmarks:>10} {median_ms:>10.3} {worst_ms:>10.3} {:>11} kB", bytes / 1000);
+        rows.push(row);
+    }
+    for pair in rows.windows(2) {
+        let time = |row: &Measured| (row.landmarks, row.median_ms);
+        let bytes = |row: &Measured| (row.landmarks, row.bytes as f64);
+        println!(
+            "from {} to {} landmarks: time as n^{:.2}, bytes as n^{:.2}",
+            pair[0].landmarks,
+            pair[1].landmarks,
+            exponent(time(&pair[0]), time(&pair[1])),
+            exponent(bytes(&pair[0]), bytes(&pair[1])),
+        );
     }
 }
