@@ -55,7 +55,7 @@ impl Explorer {
         let kept = self.current.take().and_then(|current| {
             self.weigh(&mut view, &field, pose, current.cell, grid, turning_m)
                 .filter(|choice| choice.gain_m2 >= self.config.least_gain_m2)
-                .filter(|choice| self.is_open(&choice.goal, now))
+                .filter(|choice| self.is_open(&choice.goal, now) && self.is_in_time(choice))
                 .map(|choice| Choice { kept: true, ..choice })
         });
         let mut best: Option<Choice> = None;
@@ -70,7 +70,10 @@ impl Explorer {
             else {
                 continue;
             };
-            if choice.gain_m2 >= self.config.least_gain_m2 && worth(&choice) > least {
+            if choice.gain_m2 >= self.config.least_gain_m2
+                && worth(&choice) > least
+                && self.is_in_time(&choice)
+            {
                 best = Some(choice);
             }
         }
@@ -96,6 +99,15 @@ impl Explorer {
     /// Frontiers as the grid shows them now.
     pub fn frontiers(&self, grid: &Grid) -> Vec<Frontier> {
         frontiers(grid, self.config.least_frontier_cells)
+    }
+
+    /// Limits the choice to places where a sweep would be over within `seconds`; `None` lifts it.
+    pub fn limit_time(&mut self, seconds: Option<f64>) {
+        self.time_left_s = seconds;
+    }
+
+    fn is_in_time(&self, choice: &Choice) -> bool {
+        self.time_left_s.is_none_or(|left_s| choice.seconds <= left_s)
     }
 
     fn is_open(&self, goal: &Pose2, now: Arrival) -> bool {

@@ -128,6 +128,8 @@ pub enum Decision {
 pub struct Explorer {
     config: ExploreConfig,
     current: Option<Choice>,
+    /// Time in which a sweep elsewhere must be over, in seconds; `None` for all the time there is.
+    time_left_s: Option<f64>,
     failed: FailedGoals,
     looks: Looks,
 }
@@ -135,7 +137,13 @@ pub struct Explorer {
 impl Explorer {
     /// An explorer that knows nothing yet.
     pub fn new(config: ExploreConfig) -> Self {
-        Self { config, current: None, failed: FailedGoals::default(), looks: Looks::default() }
+        Self {
+            config,
+            current: None,
+            time_left_s: None,
+            failed: FailedGoals::default(),
+            looks: Looks::default(),
+        }
     }
 
     /// The configuration in force.

@@ -30,6 +30,9 @@ const SHUNNED: Span = Span::from_millis(120_000);
 /// Lines of a fixed laser before the first choice.
 const PLANAR_LINES: usize = 5;
 
+/// Time before the end within which nothing new is begun once no sweep elsewhere would be over.
+const TOO_LATE: Span = Span::from_millis(90_000);
+
 /// A goal within this way is a turn in place.
 const STAYS_M: f64 = 0.3;
 
@@ -171,6 +174,7 @@ impl Running {
         }
         let costs = self.costs(desk);
         let pose = self.pose2();
+        self.explorer.limit_time(desk.end.map(|end| (end - desk.now).seconds()));
         for _ in 0..TRIES {
             let decision = self.explorer.choose(
                 &self.grid,
@@ -221,6 +225,11 @@ impl Running {
     /// Nothing is worth a sweep: first the gap about the start, then a finer look, then a second try
     /// of what failed; then the mission is done.
     fn nothing_left(&mut self, retry_at: Option<Arrival>, desk: &mut Desk<'_>) -> Verdict {
+        if let Some(until) = desk.end.filter(|end| *end - desk.now < TOO_LATE) {
+            desk.info("no place is left at which a sweep would be over in time: staying here");
+            self.activity = Activity::Rest { until };
+            return Verdict::GoOn;
+        }
         if self.bridge_blind_ring(desk) {
             self.activity = Activity::Rest { until: desk.now };
             return Verdict::GoOn;

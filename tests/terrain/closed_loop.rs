@@ -116,6 +116,18 @@ impl Robot {
         self.sweep();
     }
 
+    /// Seconds that the next goal is thought to take with so much time left; `None` for no goal.
+    pub fn next_goal_s(&mut self, time_left_s: Option<f64>) -> Option<f64> {
+        let now = self.now();
+        let costs = CostMap::new(&self.grid, &self.shape, &PlanConfig::default());
+        self.explorer.limit_time(time_left_s);
+        let (grid, shape, planner) = (&self.grid, &self.shape, &mut self.planner);
+        match self.explorer.choose(grid, &costs, shape, planner, &self.pose, now) {
+            Decision::Go(choice) => Some(choice.seconds),
+            Decision::NothingLeft { .. } => None,
+        }
+    }
+
     /// Chooses, drives there, sweeps. False when nothing is left.
     pub fn explore_once(&mut self) -> bool {
         let now = self.now();

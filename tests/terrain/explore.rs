@@ -45,6 +45,17 @@ fn a_room_is_explored_to_the_end() {
     assert!(rounds < 40, "ends by itself");
 }
 
+#[test]
+fn no_goal_is_chosen_whose_sweep_would_not_be_over_in_time() {
+    let start = start_pose(-3.0, -2.0, 0.3);
+    let mut robot = Robot::new(room(), start, vec![0.0], coarse_tilts(29.75, 0.34), Laser::exact());
+    robot.start(1.3);
+    let free_s = robot.next_goal_s(None).expect("the room is not explored");
+    let hurried_s = robot.next_goal_s(Some(0.8 * free_s));
+    assert!(hurried_s.is_none_or(|seconds| seconds <= 0.8 * free_s), "{hurried_s:?} of {free_s}");
+    assert_eq!(robot.next_goal_s(Some(1.0)), None);
+}
+
 /// Random numbers for building worlds.
 struct Dice(Pcg32);
 
