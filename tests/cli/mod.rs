@@ -260,3 +260,47 @@ fn the_ground_that_a_rig_can_see_is_printed() {
     assert!(said.contains("laser height   0.6") || said.contains("laser height   0.7"), "{said}");
     assert!(said.contains("nearest ground") && said.contains("blind radius"), "{said}");
 }
+
+#[test]
+fn organised_scans_leave_a_grid_with_the_floor_free_and_the_wall_in_it() {
+    use usar_agent::files::pcd::{Encoding, write_pcd};
+    use usar_agent::scan::PointGrid;
+    // A laser 0.6 m above a floor that ends at a wall 3 m ahead.
+    let mut points = Vec::new();
+    for row in 0..120 {
+        let (down, level) = (-0.4 + 0.01 * f64::from(row)).sin_cos();
+        for column in 0..121 {
+            let (left, ahead) = (-1.2 + 0.02 * f64::from(column)).sin_cos();
+            let [x, y, z] = [ahead * level, left, -ahead * down];
+            let floor = if z < -1e-3 { -0.6 / z } else { f64::INFINITY };
+            let wall = if x > 1e-3 { 3.0 / x } else { f64::INFINITY };
+            let range = floor.min(wall);
+            let hit = range < 12.0;
+            let p = [x, y, z].map(|v| if hit { (v * range) as f32 } else { f32::NAN });
+            points.push(p);
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let scan = folder.path().join("scan.pcd");
+    fs::write(&scan, write_pcd(&PointGrid::new(120, 121, points), Encoding::Binary)).unwrap();
+    let out = folder.path().join("map");
+    let mapped = usar(&["map", text(&scan), "--out", text(&out)]);
+    assert!(mapped.status.success(), "{}", stderr(&mapped));
+    assert!(out.join("trajectory.tum").exists() && out.join("map.png").exists());
+    let yaml = fs::read_to_string(out.join("map.yaml")).unwrap();
+    let origin = yaml.lines().find_map(|line| line.strip_prefix("origin: [")).unwrap();
+    let origin: Vec<f64> = origin.split(',').take(2).map(|n| n.trim().parse().unwrap()).collect();
+    let pgm = fs::read(out.join("map.pgm")).unwrap();
+    let head = String::from_utf8_lossy(&pgm[..20]).into_owned();
+    let size: Vec<usize> =
+        head.split_whitespace().skip(1).take(2).map(|n| n.parse().unwrap()).collect();
+    let pixels = &pgm[pgm.len() - size[0] * size[1]..];
+    let grey = |x: f64, y: f64| {
+        let column = ((x - origin[0]) / 0.05) as usize;
+        let row = size[1] - 1 - ((y - origin[1]) / 0.05) as usize;
+        pixels[row * size[0] + column]
+    };
+    assert_eq!([grey(1.5, 0.0), grey(2.0, 0.7), grey(2.0, -0.7)], [254; 3], "the floor is free");
+    let wall = |y: f64| (0..5).any(|i| grey(2.9 + 0.05 * f64::from(i), y) == 0);
+    assert!(wall(0.0) && wall(0.8) && wall(-0.8), "the wall is there");
+}
