@@ -231,6 +231,14 @@ pub fn summary(report: &Report, folder: &std::path::Path) -> String {
             report.victims.wrong.unwrap_or(0)
         );
     }
+    let link = report.link;
+    if link.damaged > 0 {
+        let _ = writeln!(
+            text,
+            "  link     {} lines, {} damaged, {} of an unknown type",
+            link.lines, link.damaged, link.unknown
+        );
+    }
     let _ = writeln!(text, "  files    {}", folder.display());
     text
 }

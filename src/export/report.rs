@@ -59,8 +59,22 @@ pub struct Report {
     pub operator_acts: usize,
     /// Frontiers that were left, and why.
     pub frontiers_left: Vec<FrontierLeft>,
-    /// What the agent was warned of at the start: missing answers, clipped sweeps, blind ground.
+    /// What came over the link.
+    #[serde(default)]
+    pub link: LinkCounts,
+    /// What the agent was warned of: missing answers, clipped sweeps, blind ground, damaged lines.
     pub warnings: Vec<String>,
+}
+
+/// What came over the link, in lines.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LinkCounts {
+    /// Lines read.
+    pub lines: usize,
+    /// Lines of a type that is not known.
+    pub unknown: usize,
+    /// Lines with damage; what was whole in them was used.
+    pub damaged: usize,
 }
 
 /// Where the mission time went, in seconds.

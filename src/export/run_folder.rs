@@ -5,8 +5,8 @@ use super::landmarks::{landmark_json, landmark_polygon};
 use super::map_picture::{self, Overlay};
 use super::map_server::{Cell, TrinaryMap};
 use super::report::{
-    FrontierLeft, PhaseReport, Report, SurfaceCounts, SweepBudget, SweepReport, TimeSplit,
-    VictimCounts,
+    FrontierLeft, LinkCounts, PhaseReport, Report, SurfaceCounts, SweepBudget, SweepReport,
+    TimeSplit, VictimCounts,
 };
 use super::tum::{self, TimedPose};
 use super::{map3d, ply};
@@ -32,6 +32,11 @@ pub fn agent_report(agent: &Agent, scenario: &str, seed: u64) -> Report {
             1.0 - agent.leased().seconds() / mission_time_s
         } else {
             1.0
+        },
+        link: LinkCounts {
+            lines: agent.tally().lines,
+            unknown: agent.tally().unknown_lines(),
+            damaged: agent.tally().damaged,
         },
         warnings: agent.warnings().to_vec(),
         phases: vec![PhaseReport { name: "mission".into(), from_s: 0.0, to_s: mission_time_s }],

@@ -348,7 +348,10 @@ impl Agent {
                     self.from_start = true;
                     self.connected(now);
                 }
-                OpeningStep::Failed(reason) => return Some(Outcome::NoRobot(reason)),
+                OpeningStep::Failed(reason) => {
+                    let reason = self.tally.gibberish().unwrap_or(reason);
+                    return Some(Outcome::NoRobot(reason));
+                }
                 OpeningStep::Open => self.open(now, out),
             }
         }
@@ -461,6 +464,9 @@ impl Agent {
 
     /// Stops the wheels and ends the mission.
     fn end(&mut self, outcome: Outcome, now: Arrival) -> Vec<Action> {
+        if let Some(text) = self.tally.warning() {
+            self.warn(now, text);
+        }
         self.journal.note(now, Level::Info, format!("mission over: {}", outcome.word()));
         let mut actions = Vec::new();
         let running = match std::mem::replace(&mut self.phase, Phase::Waiting) {
