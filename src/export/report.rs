@@ -53,7 +53,8 @@ pub struct Report {
     pub score_2019: Option<f64>,
     /// Phases of the mission.
     pub phases: Vec<PhaseReport>,
-    /// Share of the mission time without a drive lease held by an operator.
+    /// Share of the mission time in which the robot decided: no operator held the drive lease, and the
+    /// mode was not teleoperation.
     pub autonomy_fraction: f64,
     /// Acts of an operator.
     pub operator_acts: usize,

@@ -281,6 +281,11 @@ impl Running {
         self.candidates.confirmed(&self.victim_config)
     }
 
+    /// The same with those that can only be one body made one.
+    pub fn bodies(&self) -> Vec<Candidate> {
+        self.candidates.bodies(&self.victim_config)
+    }
+
     pub(super) fn refresh_grid(&mut self, now: Arrival) {
         self.grid = self.belief.grid();
         self.grid_made = now;
