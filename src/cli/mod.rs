@@ -74,7 +74,35 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Verb::Paper(arguments) => paper::run(arguments),
     };
     outcome.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+        eprintln!("error: {}", chain(&error));
         ExitCode::FAILURE
     })
+}
+
+/// An error with its causes. Some messages name their cause already, so a cause that ends what was
+/// said is not said again.
+fn chain(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.ends_with(&cause) {
+            text += ": ";
+            text += &cause;
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::Context as _;
+
+    #[test]
+    fn a_cause_is_told_once() {
+        let io = || std::io::Error::new(std::io::ErrorKind::NotFound, "no such thing");
+        let told = crate::driver::simulated::SimulatedError::Io(io());
+        assert_eq!(chain(&anyhow::Error::from(told)), "recording: no such thing");
+        let plain = Err::<(), _>(io()).context("cannot read x").context("in y").unwrap_err();
+        assert_eq!(chain(&plain), "in y: cannot read x: no such thing");
+    }
 }

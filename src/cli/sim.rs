@@ -1,7 +1,7 @@
 //! `usar sim`: the stand-in USARSim server on TCP.
 
 use super::files::write_stdout;
-use crate::files::world::load_world;
+use crate::files::scenario;
 use crate::protocol::Dialect;
 use crate::sim::Session;
 use crate::sim::server::{ImageType, Server, ServerError, listen};
@@ -145,7 +145,8 @@ fn log_to_stderr() {
 /// A scenario that cannot be used, a port that is taken.
 pub fn run(arguments: &SimArguments) -> Result<ExitCode> {
     log_to_stderr();
-    let mut files = load_world(&arguments.scenario)?;
+    // With the agent's part, which the server does not need: a scenario is valid or not, whoever asks.
+    let mut files = scenario::load(&arguments.scenario, &[])?.files;
     if let Some(dialect) = arguments.dialect {
         files.scenario.dialect = match dialect {
             DialectArgument::Ut2004 => Dialect::Ut2004,

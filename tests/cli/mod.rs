@@ -132,10 +132,25 @@ fn a_scenario_with_a_missing_map_and_a_misspelt_key_are_named() {
     let scenario = folder.path().join("s.toml");
     let head = "map = \"gone.toml\"\n[[robot]]\nname = \"R1\"\nclass = \"USARBot.P3AT\"\n";
     fs::write(&scenario, head).unwrap();
-    fails_with(&["mission", text(&scenario)], &["gone.toml", "No such file"]);
+    fails_with(&["mission", text(&scenario)], &["names map", "gone.toml", "No such file"]);
+    for arguments in [&["sim", "--port", "0"][..], &["check", "--rig"], &["info"], &["mission"]] {
+        let output = usar(&[arguments, &[text(&scenario)]].concat());
+        assert_eq!(stderr(&output).matches("No such file").count(), 1, "{}", stderr(&output));
+    }
+    fs::write(&scenario, "map = \"gone.toml\"\n[agent.mission]\nsetle_s = 1.0\n").unwrap();
+    let checked = usar(&["check", text(&scenario)]);
+    for part in ["`settle_s`", "names map", "at least one robot"] {
+        assert!(stderr(&checked).contains(part), "{part}: {}", stderr(&checked));
+    }
     fs::write(&scenario, head.replace("class", "clas")).unwrap();
     fails_with(&["mission", text(&scenario)], &["s.toml:4", "`clas`", "did you mean `class`"]);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let box_map = root.join("maps/box.toml");
+    let agent = "[agent.mission]\nsetle_s = 1.0\n";
+    fs::write(&scenario, format!("{}{agent}", head.replace("gone.toml", text(&box_map)))).unwrap();
+    fails_with(&["sim", "--port", "0", text(&scenario)], &["s.toml:6", "`settle_s`"]);
     let config = folder.path().join("c.toml");
+    fails_with(&["mission", "box", "--config", text(&config)], &["cannot read", "c.toml"]);
     fs::write(&config, "[mission]\nsetle_s = 1.0\n").unwrap();
     let arguments = ["mission", "box", "--config", text(&config)];
     fails_with(&arguments, &["c.toml:2", "`setle_s`", "did you mean `settle_s`"]);
