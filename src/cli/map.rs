@@ -3,6 +3,7 @@
 mod grid;
 
 use super::files::{median, read_scan, write_stdout};
+use super::say;
 use crate::export::landmarks::{landmark_json, landmark_polygon, rows};
 use crate::export::ply;
 use crate::export::run_folder::trinary_map;
@@ -278,9 +279,9 @@ fn write_grid(folder: &Path, mapper: &Mapper, images: &[RangeImage]) -> Result<(
     let keyframes = mapper.keyframes();
     let above_m = grid::sensor_above_floor(mapper.landmarks(), &keyframes).unwrap_or_else(|| {
         let supposed_m = grid::SUPPOSED_HEIGHT_M;
-        eprintln!(
-            "warning: no floor was seen below the sensor: the grid supposes it {supposed_m} m down"
-        );
+        say::warn(format_args!(
+            "no floor was seen below the sensor: the grid supposes it {supposed_m} m down"
+        ));
         supposed_m
     });
     let grid = grid::grid(images, &keyframes, above_m);

@@ -2,6 +2,7 @@
 
 use super::files::{write_stderr, write_stdout};
 use super::out::RunFolder;
+use super::say;
 use crate::driver::simulated::{MissionResult, SimulatedMission};
 use crate::export::report::Report;
 use crate::files::agent_config::Source;
@@ -118,6 +119,11 @@ pub fn fly(
     common: &CommonArguments,
     progress: Progress,
 ) -> Result<(Report, PathBuf)> {
+    let progress = match say::loudness() {
+        ..0 => Progress::Quiet,
+        0 => progress,
+        1.. => Progress::Lively,
+    };
     let folder = RunFolder::create(common.out.as_deref(), &loaded.name, common.force)?;
     folder.write("config.toml", toml::to_string(&loaded.agent)?.as_bytes())?;
     let stop = super::interrupt::watch();
@@ -155,7 +161,7 @@ fn show<W: std::io::Write>(
 ) -> usize {
     let journal = mission.agent().journal();
     for note in journal.since(seen) {
-        if progress == Progress::Lively || note.level > Level::Info {
+        if say::loudness() >= 0 && (progress == Progress::Lively || note.level > Level::Info) {
             write_stderr(format_args!("\r{:8.1} s  {}\n", note.arrival.seconds(), note.text));
         }
     }

@@ -14,6 +14,7 @@ mod out;
 mod paper;
 mod replay;
 mod run;
+mod say;
 mod segment;
 mod session;
 mod sim;
@@ -27,6 +28,8 @@ use std::process::ExitCode;
 pub struct Arguments {
     #[command(subcommand)]
     verb: Verb,
+    #[command(flatten)]
+    manners: say::Manners,
 }
 
 #[derive(Debug, Subcommand)]
@@ -59,6 +62,7 @@ enum Verb {
 
 /// Runs the verb that the arguments name and turns its outcome into an exit code.
 pub fn run(arguments: Arguments) -> ExitCode {
+    arguments.manners.set();
     let outcome = match arguments.verb {
         Verb::Demo(arguments) => demo::run(&arguments),
         Verb::Mission(arguments) => mission::run(&arguments),
@@ -74,7 +78,7 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Verb::Paper(arguments) => paper::run(arguments),
     };
     outcome.unwrap_or_else(|error| {
-        eprintln!("error: {}", chain(&error));
+        say::error(format_args!("{}", chain(&error)));
         ExitCode::FAILURE
     })
 }

@@ -243,6 +243,49 @@ fn a_recording_with_a_changed_action_fails_its_verification() {
 }
 
 #[test]
+fn a_recording_without_its_end_is_done_with_loss() {
+    use usar_agent::record::{Header, Writer};
+    let folder = tempfile::tempdir().unwrap();
+    let [open, closed] = ["open.usar", "closed.usar"].map(|name| folder.path().join(name));
+    // What is on the disk when a run is killed: everything that was flushed.
+    let writer = Writer::new(fs::File::create(&open).unwrap(), &Header::default()).unwrap();
+    drop(writer);
+    Writer::new(fs::File::create(&closed).unwrap(), &Header::default()).unwrap().finish().unwrap();
+    let checked = usar(&["check", text(&open)]);
+    assert_eq!(checked.status.code(), Some(3), "{}", stderr(&checked));
+    assert!(stderr(&checked).contains("the end is missing"), "{}", stderr(&checked));
+    assert!(usar(&["check", text(&closed)]).status.success());
+}
+
+#[test]
+fn quiet_leaves_errors_alone_and_colour_is_for_whoever_asks() {
+    let warned = ["demo", "--time-limit", "1", "--console", "x"];
+    let folder = tempfile::tempdir().unwrap();
+    let said = |name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        stderr(&usar(&[&warned[..], &["--out", text(&out)], more].concat()))
+    };
+    assert!(said("usual", &[]).starts_with("warning: "));
+    assert_eq!(said("quiet", &["-q"]), "");
+    assert!(said("colour", &["--color", "always"]).contains("\x1b[1;33mwarning:\x1b[0m"));
+    assert!(!said("none", &["--color", "never"]).contains("\x1b[1"));
+    let gone = usar(&["info", "gone.usar", "-q"]);
+    assert!(stderr(&gone).starts_with("error: "), "{}", stderr(&gone));
+    let more = usar(&["mission", "box", "--time-limit", "2", "-v", "--out", text(folder.path())]);
+    assert!(stderr(&more).contains("connected; opening the session"), "{}", stderr(&more));
+}
+
+#[test]
+fn a_figure_without_a_folder_goes_under_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("usar"));
+    let output = command.args(["paper", "fig2"]).current_dir(folder.path()).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(!folder.path().join("fig2.png").exists());
+    assert!(folder.path().join("runs/latest/fig2.png").exists());
+}
+
+#[test]
 fn deliverables_that_are_not_built_are_misuse() {
     let folder = tempfile::tempdir().unwrap();
     for to in ["geotiff", "mcap", "mif"] {
