@@ -206,9 +206,11 @@ impl Clipped {
         if self.steepest.1.is_none_or(|left| left < self.steepest.0) {
             let asked = view.ground_ahead_m(self.steepest.0.radians());
             let left = self.steepest.1.and_then(|tilt| view.ground_ahead_m(tilt.radians()));
-            let metres = |d: Option<f64>| d.map_or("none".to_owned(), |d| format!("from {d:.1} m"));
-            text +=
-                &format!(": ground straight ahead is seen {}, not {}", metres(left), metres(asked));
+            text += &match left {
+                Some(left) => format!(": ground straight ahead is seen from {left:.1} m"),
+                None => ": no ground straight ahead is seen".to_owned(),
+            };
+            text += &asked.map_or_else(String::new, |asked| format!(", not from {asked:.1} m"));
         }
         if self.highest.1.is_none_or(|left| left > self.highest.0) {
             let left = self.highest.1.map_or("none".to_owned(), |tilt| tilt.to_string());
@@ -265,6 +267,10 @@ mod tests {
              highest row -22.75°, not -25.00°"
         );
         assert_eq!(Profile::coarse(2.0).clipped(None).1, None);
+        let up = self::head(Some(AngleSpan::new(0.1, 0.4)));
+        let (_, clipped) = Profile::paper_full().clipped(up.tilt().unwrap().limits);
+        let text = clipped.unwrap().explain(&view(&up));
+        assert!(text.contains("no ground straight ahead is seen, not from 1.2 m"), "{text}");
     }
 
     #[test]

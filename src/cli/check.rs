@@ -1,6 +1,7 @@
 //! `usar check`: whether files are valid, and what a scenario's rig can see of the ground.
 
 use super::files::write_stdout;
+use super::say;
 use crate::driver::host::Host;
 use crate::driver::lockstep::Lockstep;
 use crate::files::kind::{Verdict, check};
@@ -47,7 +48,7 @@ pub fn run(arguments: &CheckArguments) -> Result<ExitCode> {
         match std::fs::read(path) {
             Err(error) => {
                 invalid = true;
-                eprintln!("error: cannot read {}: {error}", path.display());
+                say::error(format_args!("cannot read {}: {error}", path.display()));
             }
             Ok(bytes) => match check(path, &bytes) {
                 Verdict::Valid(kind) => {
@@ -55,12 +56,12 @@ pub fn run(arguments: &CheckArguments) -> Result<ExitCode> {
                 }
                 Verdict::Cut { loss } => {
                     cut = true;
-                    eprintln!("warning: {}: not whole: {loss}", path.display());
+                    say::warn(format_args!("{}: not whole: {loss}", path.display()));
                 }
                 Verdict::Invalid(mistakes) => {
                     invalid = true;
                     for mistake in mistakes {
-                        eprintln!("error: {mistake}");
+                        say::error(format_args!("{mistake}"));
                     }
                 }
             },

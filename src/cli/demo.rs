@@ -2,6 +2,7 @@
 
 use super::files::{warn_of_no_console, write_stdout};
 use super::mission::{CommonArguments, Progress, fly, load, summary};
+use super::say;
 use anyhow::Result;
 use clap::Args;
 use std::path::Path;
@@ -29,12 +30,14 @@ pub struct DemoArguments {
 pub fn run(arguments: &DemoArguments) -> Result<ExitCode> {
     warn_of_no_console(&arguments.console);
     if arguments.stay {
-        eprintln!(
-            "warning: --stay keeps the console up, which is not built yet: the demo ends with its \
+        say::warn(format_args!(
+            "--stay keeps the console up, which is not built yet: the demo ends with its \
              mission"
-        );
+        ));
     }
-    eprintln!("one autonomous mission in the railway station, with its own simulator");
+    say::tell(format_args!(
+        "one autonomous mission in the railway station, with its own simulator"
+    ));
     let loaded = load(Path::new("station"), &arguments.common)?;
     let (report, folder) = fly(loaded, &arguments.common, Progress::Lively)?;
     write_stdout(&summary(&report, &folder))?;

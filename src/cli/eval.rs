@@ -2,6 +2,7 @@
 
 use super::files::write_stdout;
 use super::mission::Format;
+use super::say;
 use crate::driver::simulated::passability;
 use crate::export::coverage::Passability;
 use crate::export::evaluate::{Evaluation, evaluate};
@@ -57,15 +58,15 @@ fn score(folder: &Path, scenario: Option<&Path>) -> Result<Evaluation> {
         None => known_world(&files.report.scenario)?,
     };
     if world.is_none() {
-        eprintln!(
-            "warning: {}: scenario `{}` is not known, so coverage and planes are not scored; name \
+        say::warn(format_args!(
+            "{}: scenario `{}` is not known, so coverage and planes are not scored; name \
              its file with --scenario",
             folder.display(),
             files.report.scenario
-        );
+        ));
     }
     if files.truth.is_empty() {
-        eprintln!("warning: {}: no truth.tum, so no pose is scored", folder.display());
+        say::warn(format_args!("{}: no truth.tum, so no pose is scored", folder.display()));
     }
     let limits = world.as_ref().map(limits).transpose()?;
     Ok(evaluate(&files, world.as_ref().map(|world| &world.world).zip(limits.as_ref())))

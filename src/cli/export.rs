@@ -1,6 +1,7 @@
 //! `usar export`: one deliverable from a run folder or a session.
 
 use super::files::write_stdout;
+use super::say;
 use super::session::{self, Session};
 use crate::driver::replay::Replay;
 use crate::export::cloud;
@@ -78,9 +79,9 @@ pub fn run(arguments: &ExportArguments) -> Result<ExitCode> {
     if let Deliverable::Geotiff | Deliverable::Mcap | Deliverable::Mif = arguments.to {
         let name =
             arguments.to.to_possible_value().map_or_else(String::new, |v| v.get_name().into());
-        eprintln!(
-            "error: --to {name} is not built yet; there are map-server, ply, pcd, png3d and tum"
-        );
+        say::error(format_args!(
+            "--to {name} is not built yet; there are map-server, ply, pcd, png3d and tum"
+        ));
         return Ok(ExitCode::from(MISUSE));
     }
     if !arguments.run.exists() && arguments.run != Path::new("-") {
@@ -134,7 +135,7 @@ impl Source<'_> {
         if self.replayed.is_none() {
             let Session { recording, agent, name, .. } = session::open(self.run, None, false, &[])?;
             if let Some(loss) = &recording.loss {
-                eprintln!("warning: the recording is not whole: {loss}");
+                say::warn(format_args!("the recording is not whole: {loss}"));
                 self.loss = true;
             }
             let mut replay = Replay::new(agent, &recording);

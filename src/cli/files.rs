@@ -1,5 +1,6 @@
 //! What several verbs share: reading scans, printing, medians.
 
+use super::say;
 use crate::files::pcd::read_pcd;
 use crate::scan::PointGrid;
 use anyhow::{Context, Result};
@@ -53,6 +54,6 @@ pub fn median(values: &[f64]) -> f64 {
 /// Says that a console at `address` is not to be had; `off` asks for none.
 pub fn warn_of_no_console(address: &str) {
     if !address.eq_ignore_ascii_case("off") {
-        eprintln!("warning: the console is not built yet; going on without it");
+        say::warn(format_args!("the console is not built yet; going on without it"));
     }
 }

@@ -1,14 +1,19 @@
 //! `usar map`: organised scans through segmentation, localisation and mapping.
 
+mod grid;
+
 use super::files::{median, read_scan, write_stdout};
+use super::say;
 use crate::export::landmarks::{landmark_json, landmark_polygon, rows};
 use crate::export::ply;
+use crate::export::run_folder::trinary_map;
 use crate::export::tum::{self, TimedPose};
 use crate::files::replace::replace_file;
 use crate::mapping::{
     Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations, TurnSource,
     UpdateReport, observations,
 };
+use crate::scan::RangeImage;
 use crate::segmentation::{SegmentationConfig, Segmenter};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -39,7 +44,8 @@ pub struct MapArguments {
     /// Which filter runs
     #[arg(long, value_enum, default_value_t)]
     mode: ModeArgument,
-    /// Folder for trajectory.tum, planes.ply, surfaces.json and report.json
+    /// Folder for trajectory.tum, planes.ply, surfaces.json, report.json and the grid: map.pgm,
+    /// map.yaml, map.png
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Form of the summary on standard output
@@ -92,6 +98,7 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
     let mut mapper = Mapper::new(config, start);
     let mut segmenter = Segmenter::new(SegmentationConfig::default());
     let mut steps = Vec::new();
+    let mut images = Vec::new();
     for (k, path) in arguments.scans.iter().enumerate() {
         let whole = read_scan(path)?;
         let grid = match &arguments.columns {
@@ -105,6 +112,9 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
             Some(columns) => whole.columns_only(columns.clone()),
             None => whole,
         };
+        if arguments.out.is_some() {
+            images.push(RangeImage::of_points(&grid));
+        }
         if k > 0 {
             match &odometry {
                 Some(poses) => {
@@ -133,6 +143,7 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
     let document = document(&mapper, &steps, score.as_ref());
     if let Some(folder) = &arguments.out {
         write_outputs(folder, &mapper, &steps, truth.as_deref(), &document)?;
+        write_grid(folder, &mapper, &images)?;
     }
     write_stdout(&match arguments.format {
         Format::Text => summary(&mapper, &steps, score.as_ref()),
@@ -263,6 +274,29 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
     })
 }
 
+/// The grid that navigation would use, in the formats of a run folder.
+fn write_grid(folder: &Path, mapper: &Mapper, images: &[RangeImage]) -> Result<()> {
+    let keyframes = mapper.keyframes();
+    let above_m = grid::sensor_above_floor(mapper.landmarks(), &keyframes).unwrap_or_else(|| {
+        let supposed_m = grid::SUPPOSED_HEIGHT_M;
+        say::warn(format_args!(
+            "no floor was seen below the sensor: the grid supposes it {supposed_m} m down"
+        ));
+        supposed_m
+    });
+    let grid = grid::grid(images, &keyframes, above_m);
+    let map = trinary_map(&grid);
+    let title = format!("{} scans", images.len());
+    write(folder, "map.pgm", &map.pgm())?;
+    write(folder, "map.yaml", map.yaml("map.pgm").as_bytes())?;
+    write(folder, "map.png", &grid::picture(&grid, &keyframes, title).to_png())
+}
+
+fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
+    let path = folder.join(name);
+    replace_file(&path, bytes).with_context(|| format!("cannot write {}", path.display()))
+}
+
 fn write_outputs(
     folder: &Path,
     mapper: &Mapper,
@@ -272,10 +306,7 @@ fn write_outputs(
 ) -> Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    let write = |name: &str, bytes: &[u8]| {
-        let path = folder.join(name);
-        replace_file(&path, bytes).with_context(|| format!("cannot write {}", path.display()))
-    };
+    let write = |name: &str, bytes: &[u8]| write(folder, name, bytes);
     let trajectory: Vec<TimedPose> = mapper
         .keyframes()
         .into_iter()

@@ -2,6 +2,7 @@
 
 use super::files::{write_stderr, write_stdout};
 use super::out::RunFolder;
+use super::say;
 use crate::driver::simulated::{MissionResult, SimulatedMission};
 use crate::export::report::{Report, SweepBudget};
 use crate::files::agent_config::Source;
@@ -141,6 +142,11 @@ pub fn fly(
     common: &CommonArguments,
     progress: Progress,
 ) -> Result<(Report, PathBuf)> {
+    let progress = match say::loudness() {
+        ..0 => Progress::Quiet,
+        0 => progress,
+        1.. => Progress::Lively,
+    };
     let folder = RunFolder::create(common.out.as_deref(), &loaded.name, common.force)?;
     folder.write("config.toml", toml::to_string(&loaded.agent)?.as_bytes())?;
     let stop = super::interrupt::watch();
@@ -178,7 +184,7 @@ fn show<W: std::io::Write>(
 ) -> usize {
     let journal = mission.agent().journal();
     for note in journal.since(seen) {
-        if progress == Progress::Lively || note.level > Level::Info {
+        if say::loudness() >= 0 && (progress == Progress::Lively || note.level > Level::Info) {
             write_stderr(format_args!("\r{:8.1} s  {}\n", note.arrival.seconds(), note.text));
         }
     }
@@ -253,6 +259,14 @@ pub fn summary(report: &Report, folder: &std::path::Path) -> String {
             text,
             "  victims  {found} of {victims} found, {} wrong",
             report.victims.wrong.unwrap_or(0)
+        );
+    }
+    let link = report.link;
+    if link.damaged > 0 {
+        let _ = writeln!(
+            text,
+            "  link     {} lines, {} damaged, {} of an unknown type",
+            link.lines, link.damaged, link.unknown
         );
     }
     let _ = writeln!(text, "  files    {}", folder.display());

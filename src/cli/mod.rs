@@ -14,6 +14,7 @@ mod out;
 mod paper;
 mod replay;
 mod run;
+mod say;
 mod scan;
 mod segment;
 mod session;
@@ -28,6 +29,8 @@ use std::process::ExitCode;
 pub struct Arguments {
     #[command(subcommand)]
     verb: Verb,
+    #[command(flatten)]
+    manners: say::Manners,
 }
 
 #[derive(Debug, Subcommand)]
@@ -62,6 +65,7 @@ enum Verb {
 
 /// Runs the verb that the arguments name and turns its outcome into an exit code.
 pub fn run(arguments: Arguments) -> ExitCode {
+    arguments.manners.set();
     let outcome = match arguments.verb {
         Verb::Demo(arguments) => demo::run(&arguments),
         Verb::Mission(arguments) => mission::run(&arguments),
@@ -78,7 +82,35 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Verb::Paper(arguments) => paper::run(arguments),
     };
     outcome.unwrap_or_else(|error| {
-        eprintln!("error: {error:#}");
+        say::error(format_args!("{}", chain(&error)));
         ExitCode::FAILURE
     })
+}
+
+/// An error with its causes. Some messages name their cause already, so a cause that ends what was
+/// said is not said again.
+fn chain(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.ends_with(&cause) {
+            text += ": ";
+            text += &cause;
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use anyhow::Context as _;
+
+    #[test]
+    fn a_cause_is_told_once() {
+        let io = || std::io::Error::new(std::io::ErrorKind::NotFound, "no such thing");
+        let told = crate::driver::simulated::SimulatedError::Io(io());
+        assert_eq!(chain(&anyhow::Error::from(told)), "recording: no such thing");
+        let plain = Err::<(), _>(io()).context("cannot read x").context("in y").unwrap_err();
+        assert_eq!(chain(&plain), "in y: cannot read x: no such thing");
+    }
 }

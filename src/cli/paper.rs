@@ -6,6 +6,7 @@ mod figures;
 mod table1;
 
 use super::files::write_stdout;
+use super::out::RunFolder;
 use crate::export::canvas::Canvas;
 use crate::files::replace::replace_file;
 use crate::files::scenario::{self, LoadedScenario};
@@ -36,9 +37,9 @@ enum What {
     },
     /// Figure 2: prediction and update of each step of Table I, as `fig2.png`.
     Fig2 {
-        /// Folder for the picture.
-        #[arg(long, default_value = ".")]
-        out: PathBuf,
+        /// Folder for the picture, instead of runs/<date>_fig2/
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
     },
     /// Figure 3: a mission's map from above, as `fig3.png`.
     Fig3(Flight),
@@ -62,9 +63,9 @@ struct Flight {
     /// Length of the mission in seconds, instead of the scenario's.
     #[arg(long, value_name = "S", value_parser = super::mission::positive_seconds)]
     time_limit: Option<f64>,
-    /// Folder for the pictures.
-    #[arg(long, default_value = ".")]
-    out: PathBuf,
+    /// Folder for the pictures, instead of runs/<date>_<figure>/
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
 }
 
 impl Flight {
@@ -107,28 +108,41 @@ pub fn run(arguments: PaperArguments) -> anyhow::Result<ExitCode> {
                 Format::Json => document.to_string() + "\n",
             })?;
         }
-        What::Fig2 { out } => write_picture(&out, "fig2.png", &fig2::picture())?,
+        What::Fig2 { out } => {
+            write_picture(&folder(out.as_deref(), "fig2")?, "fig2.png", &fig2::picture())?;
+        }
         What::Fig3(flight) => {
             let figures = figures::map_figures(flight.load()?)?;
-            write_picture(&flight.out, "fig3.png", &figures.fig3)?;
+            let out = folder(flight.out.as_deref(), "fig3")?;
+            write_picture(&out, "fig3.png", &figures.fig3)?;
         }
         What::Fig6(flight) => {
             let figures = figures::map_figures(flight.load()?)?;
+            let out = folder(flight.out.as_deref(), "fig6")?;
             let text = serde_json::to_string_pretty(&figures.compactness)?;
-            write_file(&flight.out, "fig6.json", text.as_bytes())?;
-            write_picture(&flight.out, "fig6.png", &figures.fig6)?;
+            write_file(&out, "fig6.json", text.as_bytes())?;
+            write_picture(&out, "fig6.png", &figures.fig6)?;
             write_stdout(&figures.compactness.text())?;
         }
         What::Compare2d(flight) => {
             let outcome = compare2d::compare(flight.load()?)?;
+            let out = folder(flight.out.as_deref(), "compare2d")?;
             let text = serde_json::to_string_pretty(&outcome.comparison)?;
-            write_file(&flight.out, "compare2d.json", text.as_bytes())?;
-            write_picture(&flight.out, "compare3d.png", &outcome.map_3d)?;
-            write_picture(&flight.out, "compare2d.png", &outcome.map_2d)?;
+            write_file(&out, "compare2d.json", text.as_bytes())?;
+            write_picture(&out, "compare3d.png", &outcome.map_3d)?;
+            write_picture(&out, "compare2d.png", &outcome.map_2d)?;
             write_stdout(&outcome.comparison.text())?;
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Where a figure goes: the folder that was asked for, else one under `runs/` as any run.
+fn folder(out: Option<&Path>, name: &str) -> anyhow::Result<PathBuf> {
+    match out {
+        Some(out) => Ok(out.to_owned()),
+        None => Ok(RunFolder::create(None, name, false)?.path().to_owned()),
+    }
 }
 
 /// Writes a picture and prints where it lies.

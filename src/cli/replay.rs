@@ -3,6 +3,7 @@
 use super::files::{warn_of_no_console, write_stdout};
 use super::mission::summary;
 use super::out::RunFolder;
+use super::say;
 use super::session::{self, Session};
 use crate::driver::replay::{Difference, Replay};
 use crate::driver::results::results;
@@ -136,7 +137,7 @@ fn conclude(
         }
     }
     if let Some(loss) = &recording.loss {
-        eprintln!("warning: the recording is not whole: {loss}");
+        say::warn(format_args!("the recording is not whole: {loss}"));
         return Ok(ExitCode::from(DONE_WITH_LOSS));
     }
     Ok(ExitCode::SUCCESS)
@@ -154,8 +155,9 @@ fn pace(began: Instant, replay: &Replay<'_>, times: f64) {
 /// Prints warnings of the agent; gives the number of notes seen.
 fn show(agent: &Agent, seen: usize) -> usize {
     let journal = agent.journal();
-    for note in journal.since(seen).iter().filter(|note| note.level > Level::Info) {
-        eprintln!("{:8.1} s  {}", note.arrival.seconds(), note.text);
+    let all = say::loudness() > 0;
+    for note in journal.since(seen).iter().filter(|note| all || note.level > Level::Info) {
+        say::tell(format_args!("{:8.1} s  {}", note.arrival.seconds(), note.text));
     }
     journal.len()
 }

@@ -5,6 +5,7 @@ use super::interrupt;
 use super::keys::{self, Keyboard};
 use super::mission::{positive_seconds, summary};
 use super::out::RunFolder;
+use super::say;
 use crate::driver::host::Host;
 use crate::driver::live::Live;
 use crate::driver::results::results;
@@ -178,7 +179,7 @@ async fn live(arguments: &RunArguments, config: AgentConfig) -> Result<ExitCode>
     let link = tokio::select! {
         link = connect(&arguments.server, &backoff, clock) => link?,
         _ = received.recv() => {
-            eprintln!("interrupted before there was a server");
+            say::tell(format_args!("interrupted before there was a server"));
             return Ok(ExitCode::SUCCESS);
         }
     };
@@ -233,10 +234,10 @@ fn keyboard<W: std::io::Write>(
         return Ok(None);
     }
     if !std::io::stdin().is_terminal() {
-        eprintln!("warning: no terminal to read keys from; nobody can drive");
+        say::warn(format_args!("no terminal to read keys from; nobody can drive"));
         return Ok(None);
     }
-    eprintln!("{}", keys::HELP);
+    say::tell(format_args!("{}", keys::HELP));
     Keyboard::open(inputs.clone(), clock).map(Some).context("cannot read keys from the terminal")
 }
 
@@ -250,6 +251,9 @@ struct Screen {
 
 impl Screen {
     fn show(&mut self, agent: &Agent, now: Arrival) {
+        if say::loudness() < 0 {
+            return;
+        }
         let journal = agent.journal();
         for note in journal.since(self.seen) {
             let (back, end) =

@@ -1,5 +1,6 @@
 //! Sessions from files: own recordings, and text that other clients printed.
 
+use super::say;
 use crate::driver::observed::{observing, recording_of_text, server_side};
 use crate::files::agent_config::{Source, agent_config};
 use crate::mission::Agent;
@@ -40,12 +41,12 @@ pub fn open(
     if capture.lines.is_empty() {
         bail!("{}: neither a recording nor text with lines of a server in it", path.display());
     }
-    eprintln!(
+    say::tell(format_args!(
         "captured text: {} lines of the server, {} of them put together again, {} remarks left out",
         capture.lines.len(),
         capture.rejoined(),
         capture.remarks.len()
-    );
+    ));
     let mut config = observing(agent_config(overrides)?);
     if let Some(class) = class {
         class.clone_into(&mut config.mission.class);

@@ -1,13 +1,13 @@
 //! `usar sim`: the stand-in USARSim server on TCP.
 
 use super::files::write_stdout;
-use crate::files::world::load_world;
+use super::say;
+use crate::files::scenario;
 use crate::protocol::Dialect;
 use crate::sim::Session;
 use crate::sim::server::{ImageType, Server, ServerError, listen};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
-use std::io::IsTerminal as _;
 use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -129,11 +129,17 @@ fn factor(text: &str) -> Result<f64, String> {
 
 /// Who connects and what is refused goes to standard error; `RUST_LOG` chooses what else.
 fn log_to_stderr() {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info"));
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| {
+        tracing_subscriber::EnvFilter::new(match say::loudness() {
+            ..0 => "error",
+            0 => "info",
+            1 => "debug",
+            2.. => "trace",
+        })
+    });
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     // A terminal that has gone must not end the server: what cannot be logged is lost.
-    let log = log.with_ansi(std::io::stderr().is_terminal()).log_internal_errors(false);
+    let log = log.with_ansi(say::is_coloured()).log_internal_errors(false);
     // Where a log is set up already, that one serves.
     let _ = log.without_time().with_target(false).try_init();
 }
@@ -145,7 +151,8 @@ fn log_to_stderr() {
 /// A scenario that cannot be used, a port that is taken.
 pub fn run(arguments: &SimArguments) -> Result<ExitCode> {
     log_to_stderr();
-    let mut files = load_world(&arguments.scenario)?;
+    // With the agent's part, which the server does not need: a scenario is valid or not, whoever asks.
+    let mut files = scenario::load(&arguments.scenario, &[])?.files;
     if let Some(dialect) = arguments.dialect {
         files.scenario.dialect = match dialect {
             DialectArgument::Ut2004 => Dialect::Ut2004,

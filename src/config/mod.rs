@@ -33,6 +33,25 @@ impl ConfigError {
         let mistakes = vec![Mistake { line: None, message: message.into() }];
         Self { file: file.to_owned(), mistakes }
     }
+
+    /// Errors about places of a file, each a place such as `phase 2 until_s` or `robot "R1" start` and
+    /// what is wrong there. As much of the place as is found in `text` gives the line.
+    pub fn located(
+        file: &str,
+        text: &str,
+        places: impl IntoIterator<Item = (String, String)>,
+    ) -> Self {
+        let (document, _) = DeTable::parse_recoverable(text);
+        let mut mistakes: Vec<Mistake> = places
+            .into_iter()
+            .map(|(place, reason)| Mistake {
+                line: line_of(text, span_of_place(&document, &place)),
+                message: format!("{place}: {reason}"),
+            })
+            .collect();
+        mistakes.sort_by_key(|mistake| mistake.line);
+        Self { file: file.to_owned(), mistakes }
+    }
 }
 
 impl fmt::Display for ConfigError {
@@ -134,34 +153,45 @@ fn read_table<T: DeserializeOwned + Check>(
 ) -> Result<T, ConfigError> {
     let fail = |mistakes: Vec<Mistake>| ConfigError { file: file.to_owned(), mistakes };
     let table = section_table(file, text, section)?;
-    let value: T = deserialize_all(text, table.clone()).map_err(&fail)?;
-    let violations = value.violations();
-    if violations.is_empty() {
-        return Ok(value);
-    }
-    let mut mistakes: Vec<_> = violations
-        .into_iter()
-        .map(|violation| Mistake {
-            line: line_of(text, span_of_key(&table, &violation.key)),
-            message: format!("`{}`: {}", violation.key, violation.message),
-        })
-        .collect();
+    let mut table = table;
+    let (value, mut mistakes) = deserialize_rest::<T>(text, &mut table);
+    // What is left when the offending entries are out has ranges of its own to be within.
+    mistakes.extend(value.iter().flat_map(Check::violations).map(|violation| Mistake {
+        line: line_of(text, span_of_key(&table, &violation.key)),
+        message: format!("`{}`: {}", violation.key, violation.message),
+    }));
     mistakes.sort_by_key(|mistake| mistake.line);
-    Err(fail(mistakes))
+    match value {
+        Some(value) if mistakes.is_empty() => Ok(value),
+        _ => Err(fail(mistakes)),
+    }
 }
 
-/// Deserializes, and on each mistake takes the offending entry out and tries again, so that one
-/// attempt reports them all.
 fn deserialize_all<T: DeserializeOwned>(
     text: &str,
     mut table: Spanned<DeTable<'_>>,
 ) -> Result<T, Vec<Mistake>> {
+    match deserialize_rest(text, &mut table) {
+        (Some(value), mistakes) if mistakes.is_empty() => Ok(value),
+        (_, mistakes) => Err(mistakes),
+    }
+}
+
+/// Deserializes, and on each mistake takes the offending entry out and tries again, so that one
+/// attempt reports them all. Gives what could be read of the rest, if anything.
+fn deserialize_rest<T: DeserializeOwned>(
+    text: &str,
+    table: &mut Spanned<DeTable<'_>>,
+) -> (Option<T>, Vec<Mistake>) {
     let mut mistakes = Vec::new();
     let mut removed = Vec::new();
+    let mut rest = None;
     loop {
         let error = match T::deserialize(toml::de::Deserializer::from(table.clone())) {
-            Ok(value) if mistakes.is_empty() => return Ok(value),
-            Ok(_) => break,
+            Ok(value) => {
+                rest = Some(value);
+                break;
+            }
             Err(error) => error,
         };
         // A key that was taken out for its wrong type is not missing as well, nor is one that stands
@@ -182,7 +212,7 @@ fn deserialize_all<T: DeserializeOwned>(
         removed.push(key);
     }
     mistakes.sort_by_key(|mistake| mistake.line);
-    Err(mistakes)
+    (rest, mistakes)
 }
 
 /// Takes the deepest entry whose key or value covers `span` out of the table; gives its key.
@@ -282,12 +312,42 @@ fn span_of_key(table: &Spanned<DeTable<'_>>, key: &str) -> Option<Range<usize>> 
     Some(value.span())
 }
 
+/// The span of a place: keys, numbers of array elements from 1, and names of elements in quotes. Where
+/// a part is not found, that of the part before it.
+fn span_of_place(document: &Spanned<DeTable<'_>>, place: &str) -> Option<Range<usize>> {
+    let root = document.get_ref();
+    let mut at: Option<&Spanned<DeValue<'_>>> = None;
+    let mut span = None;
+    for word in place.split_whitespace() {
+        let name = word.trim_matches('"');
+        let is_named = |item: &&Spanned<DeValue<'_>>| match item.get_ref() {
+            DeValue::Table(table) => ["name", "class", "file"].iter().any(|key| {
+                table.get(*key).is_some_and(|value| value.get_ref().as_str() == Some(name))
+            }),
+            _ => false,
+        };
+        let next = match at.map(Spanned::get_ref) {
+            None => root.get(word),
+            Some(DeValue::Table(table)) => table.get(word),
+            Some(DeValue::Array(items)) if word.starts_with('"') => items.iter().find(is_named),
+            Some(DeValue::Array(items)) => {
+                word.parse().ok().and_then(|number: usize| items.get(number.checked_sub(1)?))
+            }
+            Some(_) => None,
+        };
+        let Some(next) = next else { break };
+        span = Some(next.span());
+        at = Some(next);
+    }
+    span
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use serde::Deserialize;
 
-    #[derive(Debug, Default, Deserialize, PartialEq)]
+    #[derive(Clone, Debug, Default, Deserialize, PartialEq)]
     #[serde(deny_unknown_fields, default)]
     struct Inner {
         max_range_m: f64,
@@ -384,6 +444,45 @@ mod tests {
     fn violations_name_their_line() {
         let text = "seed = 1\n[[robot]]\n[[robot]]\nname = \"b\"\nmax_range_m = -1.0\n";
         assert_eq!(lines(text), ["f.toml:5: `robot.1.max_range_m`: -1 m, expected at least 0"]);
+    }
+
+    #[test]
+    fn a_mistake_of_type_does_not_hide_a_value_out_of_range() {
+        let text = "seed = \"one\"\n[[robot]]\nmax_range_m = -1.0\nname = 5\n";
+        #[derive(Debug, Deserialize)]
+        #[serde(deny_unknown_fields, default)]
+        struct Lenient {
+            seed: u64,
+            robot: Vec<Inner>,
+        }
+        impl Default for Lenient {
+            fn default() -> Self {
+                Self { seed: 1, robot: Vec::new() }
+            }
+        }
+        impl Check for Lenient {
+            fn violations(&self) -> Vec<Violation> {
+                Outer { seed: self.seed, robot: self.robot.clone(), inner: Inner::default() }
+                    .violations()
+            }
+        }
+        let error = read::<Lenient>("f", text).unwrap_err();
+        let lines: Vec<_> = error.mistakes.iter().map(|mistake| mistake.line).collect();
+        assert_eq!(lines, [Some(1), Some(3), Some(4)], "{error}");
+    }
+
+    #[test]
+    fn places_are_found_by_key_number_and_name() {
+        let text = "seed = 1\n[[robot]]\nname = \"a\"\n[[robot]]\nname = \"b\"\nwheels = 3\n";
+        let line = |place: &str| {
+            let places = [(place.to_owned(), "wrong".to_owned())];
+            ConfigError::located("f", text, places).mistakes[0].line
+        };
+        assert_eq!(line("seed"), Some(1));
+        assert_eq!(line("robot 2 wheels"), Some(6));
+        assert_eq!(line("robot \"b\" wheels"), Some(6));
+        assert_eq!(line("robot \"a\" name"), Some(3));
+        assert_eq!(line("gone"), None);
     }
 
     #[test]

@@ -276,6 +276,15 @@ impl Canvas {
         }
     }
 
+    /// The rows `rows` alone, cut to those that exist; at least one.
+    #[must_use]
+    pub fn rows(&self, rows: std::ops::Range<usize>) -> Self {
+        let end = rows.end.clamp(1, self.height);
+        let start = rows.start.min(end - 1);
+        let pixels = self.pixels[start * self.width..end * self.width].to_vec();
+        Self { width: self.width, height: end - start, pixels }
+    }
+
     /// The picture at half its size each way, every pixel the mean of four. An odd last row or
     /// column is dropped.
     #[must_use]

@@ -110,9 +110,12 @@ pub fn is_explored(cell: &FloorCell, evidence: &Evidence) -> bool {
     }
     let height = evidence.known.len() / evidence.width;
     let centre = cell.centre();
+    // Centres of floor cells lie on borders of the lattice: a hair to one side, whatever the origin was
+    // rounded to on its way through a file.
+    const HAIR: f64 = 1e-6;
     let place = |x: f64, y: f64| -> Option<usize> {
-        let column = ((x - evidence.origin_m[0]) / evidence.cell_m).floor();
-        let row = ((y - evidence.origin_m[1]) / evidence.cell_m).floor();
+        let column = ((x - evidence.origin_m[0]) / evidence.cell_m + HAIR).floor();
+        let row = ((y - evidence.origin_m[1]) / evidence.cell_m + HAIR).floor();
         (column >= 0.0
             && row >= 0.0
             && (column as usize) < evidence.width

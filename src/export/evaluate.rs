@@ -2,7 +2,7 @@
 
 use super::coverage::{self, Evidence, Passability};
 use super::report::Report;
-use super::score::at;
+use super::score::{at, settled_s};
 use super::tum::TimedPose;
 use crate::sim::World;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
@@ -161,7 +161,8 @@ pub fn evaluate(files: &RunFiles, world: Option<(&World, &Passability)>) -> Eval
 /// The frame of the map in the world, from where the run began.
 fn true_from_map(files: &RunFiles) -> Option<Isometry3<f64>> {
     let first = files.trajectory.first()?;
-    Some(at(&files.truth, first.time_s)? * first.pose.inverse())
+    let from_s = settled_s(&files.truth)?;
+    Some(at(&files.truth, first.time_s.max(from_s))? * first.pose.inverse())
 }
 
 /// Estimated and true pose at each time of the trajectory, in the world.
@@ -169,8 +170,10 @@ fn pairs(
     files: &RunFiles,
     true_from_map: &Isometry3<f64>,
 ) -> Vec<(Isometry3<f64>, Isometry3<f64>)> {
-    let pair =
-        |timed: &TimedPose| Some((true_from_map * timed.pose, at(&files.truth, timed.time_s)?));
+    let from_s = settled_s(&files.truth).unwrap_or_default();
+    let pair = |timed: &TimedPose| {
+        Some((true_from_map * timed.pose, at(&files.truth, timed.time_s.max(from_s))?))
+    };
     files.trajectory.iter().filter_map(pair).collect()
 }
 

@@ -18,6 +18,8 @@ pub fn landmark_json(landmark: &Landmark) -> Value {
         "id": landmark.id.0,
         "kind": "plane",
         "sightings": landmark.sightings,
+        "points": landmark.points,
+        "rms_m": landmark.rms_m,
         "normal": plane.normal,
         "offset_m": plane.offset_m,
         "centroid": landmark.origin(),

@@ -56,14 +56,29 @@ pub struct Report {
     pub score_2019: Option<f64>,
     /// Phases of the mission.
     pub phases: Vec<PhaseReport>,
-    /// Share of the mission time without a drive lease held by an operator.
+    /// Share of the mission time in which the robot decided: no operator held the drive lease, and the
+    /// mode was not teleoperation.
     pub autonomy_fraction: f64,
     /// Acts of an operator.
     pub operator_acts: usize,
     /// Frontiers that were left, and why.
     pub frontiers_left: Vec<FrontierLeft>,
-    /// What the agent was warned of at the start: missing answers, clipped sweeps, blind ground.
+    /// What came over the link.
+    #[serde(default)]
+    pub link: LinkCounts,
+    /// What the agent was warned of: missing answers, clipped sweeps, blind ground, damaged lines.
     pub warnings: Vec<String>,
+}
+
+/// What came over the link, in lines.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LinkCounts {
+    /// Lines read.
+    pub lines: usize,
+    /// Lines of a type that is not known.
+    pub unknown: usize,
+    /// Lines with damage; what was whole in them was used.
+    pub damaged: usize,
 }
 
 /// Where the mission time went, in seconds.

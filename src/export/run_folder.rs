@@ -5,8 +5,8 @@ use super::landmarks::{landmark_json, landmark_polygon};
 use super::map_picture::{self, Overlay};
 use super::map_server::{Cell, TrinaryMap};
 use super::report::{
-    FrontierLeft, NodTotals, PhaseReport, Report, SurfaceCounts, SweepBudget, SweepReport,
-    TimeSplit, VictimCounts,
+    FrontierLeft, LinkCounts, NodTotals, PhaseReport, Report, SurfaceCounts, SweepBudget,
+    SweepReport, TimeSplit, VictimCounts,
 };
 use super::tum::{self, TimedPose};
 use super::{map3d, ply};
@@ -29,9 +29,14 @@ pub fn agent_report(agent: &Agent, scenario: &str, seed: u64) -> Report {
         mission_time_s,
         operator_acts: agent.operator_acts(),
         autonomy_fraction: if mission_time_s > 0.0 {
-            1.0 - agent.leased().seconds() / mission_time_s
+            (1.0 - agent.operated().seconds() / mission_time_s).clamp(0.0, 1.0)
         } else {
             1.0
+        },
+        link: LinkCounts {
+            lines: agent.tally().lines,
+            unknown: agent.tally().unknown_lines(),
+            damaged: agent.tally().damaged,
         },
         warnings: agent.warnings().to_vec(),
         phases: vec![PhaseReport { name: "mission".into(), from_s: 0.0, to_s: mission_time_s }],
@@ -96,8 +101,12 @@ pub fn map_files(agent: &Agent, title: &str) -> Files {
     let landmarks = belief.mapper().landmarks();
     let polygons: Vec<ply::Polygon> = landmarks.iter().map(landmark_polygon).collect();
     let surfaces: Vec<_> = landmarks.iter().map(landmark_json).collect();
-    let surfaces = serde_json::to_vec_pretty(&json!({ "surfaces": surfaces }))
-        .expect("numbers and strings are always JSON");
+    // The surfaces are those of the map; the size is that of the newest scan that went into it.
+    let (rows, columns) =
+        belief.last_sweep().map_or((0, 0), |(_, sweep)| (sweep.rows().len(), sweep.columns()));
+    let document = json!({ "rows": rows, "columns": columns, "surfaces": surfaces });
+    let surfaces =
+        serde_json::to_vec_pretty(&document).expect("numbers and strings are always JSON");
     let shape = running.shape();
     let size = Vector3::new(shape.length_m, shape.width_m, shape.height_m);
     let trinary = trinary_map(&grid);
@@ -119,7 +128,8 @@ fn overlay(running: &Running, title: &str, path: &[Isometry3<f64>]) -> Overlay {
         title: title.to_owned(),
         trajectory: path.to_vec(),
         victims: running
-            .victims()
+            .bodies()
+            .iter()
             .map(|victim| (victim.place.xy(), format!("{} parts", victim.parts.len())))
             .collect(),
         frontiers: running
@@ -158,14 +168,15 @@ pub fn trinary_map(grid: &Grid) -> TrinaryMap {
     }
 }
 
-/// What coverage counts by, from the agent's own map.
+/// What coverage counts by, from the agent's own map: heights as `ground.png` has them, so that the
+/// report and whoever reads the files count alike.
 pub fn evidence(grid: &Grid, belief: &Belief) -> Evidence {
     let cell_m = grid.cell_m();
     let low = grid.low();
     let mut ground_m = vec![f32::NAN; grid.cells().len()];
     for (cell, height) in belief.terrain().measured_ground() {
         if let Some(index) = grid.index(cell) {
-            ground_m[index] = height as f32;
+            ground_m[index] = height_of(value_of(height));
         }
     }
     Evidence {
@@ -189,11 +200,7 @@ fn ground_png(grid: &Grid, belief: &Belief) -> Vec<u8> {
     let mut samples = Vec::with_capacity(2 * evidence.ground_m.len());
     for row in evidence.ground_m.chunks(evidence.width.max(1)).rev() {
         for height in row {
-            let value = if height.is_nan() {
-                0
-            } else {
-                (GROUND_ZERO + GROUND_STEPS * f64::from(*height)).clamp(1.0, 65_535.0) as u16
-            };
+            let value = if height.is_nan() { 0 } else { value_of(f64::from(*height)) };
             samples.extend_from_slice(&value.to_be_bytes());
         }
     }
@@ -226,9 +233,34 @@ pub fn ground_heights(bytes: &[u8]) -> Result<(usize, Vec<f32>), String> {
     let length = reader.output_buffer_size().ok_or("the picture is too large")?;
     let mut samples = vec![0; length];
     reader.next_frame(&mut samples).map_err(|error| error.to_string())?;
-    let height_of = |pair: &[u8]| match u16::from_be_bytes([pair[0], pair[1]]) {
+    let values = samples.chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+    Ok((width, values.map(height_of).collect()))
+}
+
+/// The value of `ground.png` that is nearest to a height.
+fn value_of(height_m: f64) -> u16 {
+    (GROUND_ZERO + GROUND_STEPS * height_m).round().clamp(1.0, 65_535.0) as u16
+}
+
+/// The height that a value of `ground.png` stands for; NaN for none.
+fn height_of(value: u16) -> f32 {
+    match value {
         0 => f32::NAN,
         value => ((f64::from(value) - GROUND_ZERO) / GROUND_STEPS) as f32,
-    };
-    Ok((width, samples.chunks_exact(2).map(height_of).collect()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heights_are_rounded_and_stay_as_they_were_read() {
+        for (height_m, kept_m) in [(0.0249, 0.025), (-0.0024, 0.0), (-1.0026, -1.005)] {
+            let value = value_of(height_m);
+            assert!((f64::from(height_of(value)) - kept_m).abs() < 1e-6, "{height_m}");
+            assert_eq!(value_of(f64::from(height_of(value))), value);
+        }
+        assert!(height_of(0).is_nan() && !height_of(value_of(-1e4)).is_nan());
+    }
 }

@@ -11,6 +11,9 @@ use nalgebra::{Isometry3, Point2, Point3, Vector3};
 /// polygon is not lost in the polygon's depth.
 const LINE_DEPTH_SHARE: f64 = 2e-3;
 
+/// Vertical field of view of [`Camera::around`], in radians.
+pub const FIELD_OF_VIEW_RAD: f64 = 0.7;
+
 /// How the camera turns space into a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Lens {
@@ -43,9 +46,8 @@ impl Camera {
         elevation_rad: f64,
     ) -> Self {
         let target = nalgebra::center(&low, &high);
-        let field_of_view_rad = 0.7;
         let radius = (0.5 * (high - low).norm()).max(0.1);
-        let distance = radius / f64::sin(0.5 * field_of_view_rad);
+        let distance = radius / f64::sin(0.5 * FIELD_OF_VIEW_RAD);
         let towards_eye = Vector3::new(
             azimuth_rad.cos() * elevation_rad.cos(),
             azimuth_rad.sin() * elevation_rad.cos(),
@@ -55,7 +57,7 @@ impl Camera {
             eye: target + towards_eye * distance,
             target,
             up: Vector3::z(),
-            lens: Lens::Perspective(field_of_view_rad),
+            lens: Lens::Perspective(FIELD_OF_VIEW_RAD),
         }
     }
 
@@ -85,12 +87,18 @@ impl Camera {
 
     /// Pixel of a picture of `width × height` at which a point appears; `None` behind the eye.
     pub fn pixel(&self, point: &Point3<f64>, width: usize, height: usize) -> Option<Point2<f64>> {
+        self.view(width, height).pixel(point)
+    }
+
+    /// The same for many points.
+    pub fn pixels<'a>(
+        &self,
+        points: &'a [Point3<f64>],
+        width: usize,
+        height: usize,
+    ) -> impl Iterator<Item = Option<Point2<f64>>> + 'a {
         let view = self.view(width, height);
-        let p = view.camera_from_world * point;
-        (-p.z > NEAR_M).then(|| {
-            let [x, y, _] = view.project(&p);
-            Point2::new(x, y)
-        })
+        points.iter().map(move |point| view.pixel(point))
     }
 }
 
@@ -106,6 +114,14 @@ struct View {
 }
 
 impl View {
+    fn pixel(&self, point: &Point3<f64>) -> Option<Point2<f64>> {
+        let p = self.camera_from_world * point;
+        (-p.z > NEAR_M).then(|| {
+            let [x, y, _] = self.project(&p);
+            Point2::new(x, y)
+        })
+    }
+
     /// Pixel and depth key of a point in front of the camera. The key grows with nearness and is
     /// linear across the picture: the inverse of depth in perspective, its negative else.
     fn project(&self, p: &Point3<f64>) -> [f64; 3] {
@@ -233,6 +249,12 @@ impl Scene {
     /// The smallest box around everything that was added, if anything was.
     pub fn bounds(&self) -> Option<(Point3<f64>, Point3<f64>)> {
         self.low.zip(self.high)
+    }
+
+    /// The corners of all polygons and lines.
+    pub fn points(&self) -> impl Iterator<Item = &Point3<f64>> {
+        let faces = self.faces.iter().flat_map(|face| &face.corners);
+        faces.chain(self.strokes.iter().flat_map(|stroke| &stroke.points))
     }
 
     /// Widens the bounds; whether all points are finite and may be drawn.

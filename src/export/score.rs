@@ -70,14 +70,17 @@ pub fn pose_error(
     distance_m: f64,
     bystander: &Bystander,
 ) -> Option<PoseError> {
-    let (first_true, last_true) = (truth.first()?, truth.last()?);
+    let last_true = truth.last()?;
+    let settled_s = settled_s(truth)?;
+    let true_at = |time_s: f64| at(truth, time_s.max(settled_s));
     let first = trajectory.first()?;
-    let start_true = at(truth, first.time_s)?;
+    let start_true = true_at(first.time_s)?;
+    let settled_true = true_at(settled_s)?;
     let true_from_map = start_true * first.pose.inverse();
     let mut squares = 0.0;
     let mut count = 0_usize;
     for timed in trajectory {
-        let Some(pose_true) = at(truth, timed.time_s) else { continue };
+        let Some(pose_true) = true_at(timed.time_s) else { continue };
         let pose = true_from_map * timed.pose;
         squares += (pose.translation.vector - pose_true.translation.vector).norm_squared();
         count += 1;
@@ -90,7 +93,7 @@ pub fn pose_error(
     };
     let final_m = apart(&end, &last_true.pose);
     let alone = |motion: Option<Isometry3<f64>>| {
-        motion.map(|motion| apart(&(first_true.pose * motion), &last_true.pose))
+        motion.map(|motion| apart(&(settled_true * motion), &last_true.pose))
     };
     Some(PoseError {
         ate_rmse_m: if count > 0 { (squares / count as f64).sqrt() } else { 0.0 },
@@ -100,6 +103,24 @@ pub fn pose_error(
         odometry_final_m: alone(bystander.odometry_motion()),
         ins_final_m: alone(bystander.ins_motion()),
     })
+}
+
+/// When a robot that was created above the floor has come down on it, in seconds; the beginning for one
+/// that never rests. `None` for no truth at all. What came before is no error of anybody's.
+pub fn settled_s(truth: &[TimedPose]) -> Option<f64> {
+    const WITHIN_S: f64 = 3.0;
+    const AT_REST_S: f64 = 0.4;
+    const AT_REST_M: f64 = 0.002;
+    let first = truth.first()?;
+    let rests = |timed: &&TimedPose| {
+        let later = truth.iter().find(|later| later.time_s >= timed.time_s + AT_REST_S);
+        later.is_some_and(|later| {
+            let rise_m = later.pose.translation.z - timed.pose.translation.z;
+            rise_m.abs() < AT_REST_M
+        })
+    };
+    let early = truth.iter().take_while(|timed| timed.time_s - first.time_s <= WITHIN_S);
+    Some(early.into_iter().find(rests).map_or(first.time_s, |timed| timed.time_s))
 }
 
 /// The pose of a trajectory at a time, between its poses; `None` before its beginning. After its end
@@ -163,6 +184,24 @@ mod tests {
         bystander.note(b"SEN {Type Odometry} {Name O} {Pose 10.0,1.0,0.0}");
         let error = pose_error(&line(0.0, 0.0), &line(0.0, 0.0), 10.0, &bystander).unwrap();
         assert!((error.odometry_final_m.unwrap() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_robot_that_drops_onto_the_floor_and_idles_has_no_error() {
+        let dropped = |time_s: f64| (0.02 - 4.9 * time_s * time_s).max(0.0);
+        let still =
+            |time_s: f64, z: f64| TimedPose { time_s, pose: Isometry3::translation(1.0, 2.0, z) };
+        let truth: Vec<TimedPose> = (0..50)
+            .map(|i| 0.02 * f64::from(i))
+            .map(|time_s| still(time_s, dropped(time_s)))
+            .collect();
+        let own: Vec<TimedPose> = truth.iter().map(|timed| still(timed.time_s, 0.0)).collect();
+        let mut bystander = Bystander::default();
+        bystander.note(b"SEN {Type Odometry} {Name O} {Pose 0.0,0.0,0.0}");
+        let error = pose_error(&own, &truth, 0.0, &bystander).unwrap();
+        assert!(error.ate_rmse_m < 1e-9 && error.final_m < 1e-9, "{error:?}");
+        assert!(error.odometry_final_m.unwrap() < 1e-9, "{error:?}");
+        assert!((0.05..0.2).contains(&settled_s(&truth).unwrap()));
     }
 
     #[test]

@@ -25,7 +25,7 @@ impl Source {
     pub fn file(path: &Path) -> Result<Self, ConfigError> {
         let file = path.display().to_string();
         let text = std::fs::read_to_string(path)
-            .map_err(|error| ConfigError::whole(&file, error.to_string()))?;
+            .map_err(|error| ConfigError::whole(&file, format!("cannot read: {error}")))?;
         Ok(Self { file, text, section: None })
     }
 }

@@ -7,7 +7,7 @@ use crate::acquisition::{HEADING, RecordedTriples};
 use crate::config::{self, ConfigError};
 use crate::protocol::capture::Capture;
 use crate::record::{self, MAGIC};
-use crate::sim::{RobotCatalogue, Scenario};
+use crate::sim::RobotCatalogue;
 use std::fmt;
 use std::path::Path;
 use toml::de::DeTable;
@@ -76,8 +76,12 @@ fn kind_of_toml(text: &str) -> Kind {
         Kind::Scenario
     } else if has("bounds") || has("start") || has("box") {
         Kind::Map
-    } else if has("robot") {
+    } else if has("robot") && document.get_ref().len() == 1 {
+        // A robots file is a list of robots and nothing else: with another key beside it, it is a
+        // scenario whose `map` is missing or misspelt.
         Kind::Robots
+    } else if has("robot") {
+        Kind::Scenario
     } else {
         Kind::AgentConfig
     }
@@ -134,21 +138,27 @@ pub fn check(path: &Path, bytes: &[u8]) -> Verdict {
     if mistakes.is_empty() { Verdict::Valid(kind) } else { Verdict::Invalid(mistakes) }
 }
 
-/// A scenario's own mistakes, then those of the map it names.
+/// A scenario's own mistakes, those of the agent's configuration in it, and those of the map it names;
+/// where there are none of these, what does not fit together.
 fn scenario_mistakes(path: &Path, bytes: &[u8]) -> Vec<String> {
-    let mut mistakes = lines(scenario::load(path, &[]));
-    let own = text_mistakes::<Scenario>(path, bytes, |_| None);
-    if !own.is_empty() {
-        // The map was not reached.
-        let text = String::from_utf8_lossy(bytes);
-        let (document, _) = DeTable::parse_recoverable(&text);
-        let map = document.get_ref().get("map").and_then(|map| map.get_ref().as_str());
-        if let Some(map) = map {
-            let map = path.parent().unwrap_or(Path::new("")).join(map);
-            mistakes.extend(lines(world::check_map(&map)));
-        }
+    let text = match std::str::from_utf8(bytes) {
+        Ok(text) => text,
+        Err(error) => return vec![format!("{}: {error}", path.display())],
+    };
+    let mut mistakes = lines(world::scenario_of(path, text));
+    let (document, syntax) = DeTable::parse_recoverable(text);
+    if syntax.is_empty() {
+        let file = path.display().to_string();
+        let agent = Source { file, text: text.to_owned(), section: Some("agent") };
+        mistakes.extend(lines(agent_config(&[agent])));
     }
-    mistakes
+    let map = document.get_ref().get("map").and_then(|map| map.get_ref().as_str());
+    let map = map.map(|map| path.parent().unwrap_or(Path::new("")).join(map));
+    if let Some(map) = map {
+        let read = world::map_text(path, &map);
+        mistakes.extend(lines(read.and_then(|_| world::check_map(&map))));
+    }
+    if mistakes.is_empty() { lines(scenario::load(path, &[])) } else { mistakes }
 }
 
 fn text_mistakes<T: serde::de::DeserializeOwned>(
@@ -201,16 +211,27 @@ mod tests {
     }
 
     #[test]
+    fn a_scenario_with_a_misspelt_map_is_no_robots_file() {
+        let text = "mapp = \"m.toml\"\n[[robot]]\nname = \"R1\"\nclass = \"USARBot.P3AT\"\n";
+        assert_eq!(kind_of_toml(text), Kind::Scenario);
+        let Verdict::Invalid(mistakes) = check(Path::new("s.toml"), text.as_bytes()) else {
+            panic!()
+        };
+        assert_eq!(mistakes, ["s.toml:1: unknown key `mapp`, did you mean `map`?"]);
+    }
+
+    #[test]
     fn mistakes_of_scenario_and_map_come_together() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("s.toml");
-        let text =
-            "map = \"m.toml\"\nsed = 1\n[[robot]]\nname = \"R1\"\nklass = \"USARBot.P3AT\"\n";
+        let text = "map = \"m.toml\"\nsed = 1\n[[robot]]\nname = \"R1\"\nklass = \"USARBot.P3AT\"\n\
+             [agent.mission]\nsetle_s = 1.0\n";
         std::fs::write(&path, text).unwrap();
         std::fs::write(folder.path().join("m.toml"), "name = \"m\"\nbound = [0.0]\n").unwrap();
         let Verdict::Invalid(mistakes) = check(&path, text.as_bytes()) else { panic!() };
         let found = |part: &str| mistakes.iter().any(|mistake| mistake.contains(part));
         assert!(found("s.toml:2") && found("`seed`"), "{mistakes:?}");
         assert!(found("s.toml:5") && found("m.toml:2"), "{mistakes:?}");
+        assert!(found("s.toml:7") && found("`settle_s`"), "{mistakes:?}");
     }
 }

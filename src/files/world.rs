@@ -31,6 +31,16 @@ pub enum WorldFilesError {
         /// What the system said.
         source: io::Error,
     },
+    /// The map that a scenario names could not be read.
+    #[error("scenario {} names map {}: {source}", .scenario.display(), .map.display())]
+    Map {
+        /// The scenario file.
+        scenario: PathBuf,
+        /// The map, as it was looked for.
+        map: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
     /// A file is not the TOML it should be: every mistake with its line.
     #[error(transparent)]
     Toml(#[from] ConfigError),
@@ -98,12 +108,37 @@ pub fn load_world(scenario: &Path) -> Result<WorldFiles, WorldFilesError> {
     let text = read_text(scenario)?;
     let parsed = parse(scenario, &text, Scenario::parse)?;
     let map_path = beside(scenario, &parsed.map);
-    let map = parse(&map_path, &read_text(&map_path)?, MapFile::parse)?;
+    let map = parse(&map_path, &map_text(scenario, &map_path)?, MapFile::parse)?;
     let robots_path = beside(&map_path, "robots.toml");
     let robots = if robots_path.exists() { read_text(&robots_path)? } else { ROBOTS.to_owned() };
     let meshes = read_meshes(&map_path, &map)?;
     let catalogue = parse(&robots_path, &robots, RobotCatalogue::parse)?;
-    assemble(scenario, &map_path, parsed, map, catalogue, &meshes)
+    assemble(scenario, &map_path, parsed, map, catalogue, &meshes).map_err(|error| match error {
+        WorldFilesError::Spec { path, source } if path == scenario => located(&path, &text, source),
+        error => error,
+    })
+}
+
+/// The text of the map that a scenario names.
+///
+/// # Errors
+///
+/// When it cannot be read.
+pub fn map_text(scenario: &Path, map: &Path) -> Result<String, WorldFilesError> {
+    std::fs::read_to_string(map).map_err(|source| WorldFilesError::Map {
+        scenario: scenario.to_owned(),
+        map: map.to_owned(),
+        source,
+    })
+}
+
+/// A scenario's own mistakes alone, without what it names.
+///
+/// # Errors
+///
+/// Every mistake of spelling and type; else every value that cannot be.
+pub fn scenario_of(path: &Path, text: &str) -> Result<Scenario, WorldFilesError> {
+    parse(path, text, Scenario::parse)
 }
 
 /// Reads the map at a path with the triangle files it names.
@@ -177,7 +212,14 @@ fn parse<T: serde::de::DeserializeOwned>(
     check: impl FnOnce(&str) -> Result<T, SpecError>,
 ) -> Result<T, WorldFilesError> {
     config::read_plain::<T>(&path.display().to_string(), text)?;
-    check(text).map_err(|source| spec_error(path, source))
+    check(text).map_err(|source| located(path, text, source))
+}
+
+/// What a file's values contradict, each with the line of its place.
+fn located(path: &Path, text: &str, source: SpecError) -> WorldFilesError {
+    let SpecError::Invalid(violations) = source else { return spec_error(path, source) };
+    let violations = violations.into_iter().map(|violation| (violation.place, violation.reason));
+    ConfigError::located(&path.display().to_string(), text, violations).into()
 }
 
 fn beside(file: &Path, name: &str) -> PathBuf {
@@ -216,6 +258,8 @@ mod tests {
         let head = "map = \"m.toml\"\n[[robot]]\nname = \"R1\"\nclass = \"USARBot.P3AT\"\n";
         let scenario = write("s.toml", head);
         let missing = load_world(&scenario).unwrap_err().to_string();
+        let names = format!("scenario {} names map", scenario.display());
+        assert!(missing.starts_with(&names), "{missing}");
         assert!(missing.contains("m.toml: No such file"), "{missing}");
         let map = "name = \"m\"\nbounds = [0.0, 0.0, 1.0, 1.0]\n[[mesh]]\nfile = \"t.obj\"\n";
         write("m.toml", map);
@@ -224,6 +268,16 @@ mod tests {
         write("t.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\no tile\nf 1 2 3\n");
         let files = load_world(&scenario).unwrap();
         assert_eq!(files.world.objects()[0].name, "tile");
+        let phases = "[[phase]]\nname = \"autonomous\"\nuntil_s = 60.0\n\
+                      [[phase]]\nname = \"operator\"\nuntil_s = 50.0\n";
+        write("s.toml", &format!("{head}start = \"StartZ\"\n{phases}"));
+        let error = load_world(&scenario).unwrap_err().to_string();
+        let expected = "s.toml:11: phase 2 until_s: expected more than 60, found 50";
+        assert!(error.ends_with(expected), "{error}");
+        write("s.toml", &format!("{head}start = \"StartZ\"\n"));
+        let error = load_world(&scenario).unwrap_err().to_string();
+        assert!(error.contains("s.toml:5: robot \"R1\" start: "), "{error}");
+        assert!(error.ends_with("found \"StartZ\""), "{error}");
         write("s.toml", &head.replace("class", "klass"));
         let typo = load_world(&scenario).unwrap_err().to_string();
         assert!(typo.contains("s.toml:4: unknown key `klass`, did you mean `class`?"), "{typo}");

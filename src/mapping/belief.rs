@@ -372,6 +372,7 @@ mod tests {
             hull: vec![Point2::new(0.0, 0.0), Point2::new(1.0, 0.0), Point2::new(0.0, 1.0)],
             mask: PlaneMask::default(),
             points: 10,
+            rms_m: 0.003,
         }
     }
 

@@ -22,6 +22,10 @@ pub struct Landmark {
     pub hull: Vec<Point2<f64>>,
     /// Cells of the plane that were hit.
     pub mask: PlaneMask,
+    /// Points of all patches that were taken for it.
+    pub points: usize,
+    /// Root mean square of their distances from the patches' own planes, in metres.
+    pub rms_m: f64,
     /// Number of scans in which it was seen, the first included.
     pub sightings: u32,
     /// Keyframe that saw it first.
@@ -44,6 +48,8 @@ impl Landmark {
             covariance: Matrix3::zeros(),
             hull: observation.hull.clone(),
             mask: observation.mask.clone(),
+            points: observation.points,
+            rms_m: observation.rms_m,
             sightings: 1,
             first_keyframe: keyframe,
             last_keyframe: keyframe,
@@ -82,6 +88,10 @@ impl Landmark {
         let plane_from_observed =
             self.world_from_plane.inverse() * world_from_robot * observation.robot_from_plane;
         self.unite(&observation.hull, &observation.mask, &plane_from_observed);
+        let squares = |points: usize, rms_m: f64| points as f64 * rms_m * rms_m;
+        let sum = squares(self.points, self.rms_m) + squares(observation.points, observation.rms_m);
+        self.points += observation.points;
+        self.rms_m = (sum / self.points.max(1) as f64).sqrt();
     }
 
     /// Unites hull and mask with those of another frame.
@@ -144,6 +154,7 @@ mod tests {
             hull: square(x, 1.0),
             mask: PlaneMask::default(),
             points: 100,
+            rms_m: 0.003,
         }
     }
 

@@ -20,18 +20,20 @@ pub struct Observation {
     pub mask: PlaneMask,
     /// Number of points of the patch.
     pub points: usize,
+    /// Root mean square of their distances from the plane, in metres.
+    pub rms_m: f64,
 }
 
 impl Observation {
     /// The observation of a fitted plane; `None` where the surface is none or its fit is not finite.
     pub fn from_surface(surface: &Surface, robot_from_grid: &Isometry3<f64>) -> Option<Self> {
         let Shape::Plane(patch) = &surface.shape else { return None };
-        Self::from_patch(patch, surface.points, robot_from_grid)
+        Self::from_patch(patch, surface, robot_from_grid)
     }
 
     fn from_patch(
         patch: &PlanePatch,
-        points: usize,
+        surface: &Surface,
         robot_from_grid: &Isometry3<f64>,
     ) -> Option<Self> {
         let robot_from_plane = robot_from_grid * patch.grid_from_plane;
@@ -44,7 +46,8 @@ impl Observation {
             covariance: patch.covariance,
             hull: patch.hull.clone(),
             mask: PlaneMask::default(),
-            points,
+            points: surface.points,
+            rms_m: surface.rms_m,
         })
     }
 

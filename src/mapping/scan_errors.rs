@@ -108,6 +108,7 @@ mod tests {
             hull: corners.map(|(x, y)| Point2::new(x, y)).to_vec(),
             mask: PlaneMask::default(),
             points: 1,
+            rms_m: 0.003,
         }
     }
 

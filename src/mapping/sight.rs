@@ -225,6 +225,7 @@ mod tests {
             hull: vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
             mask,
             points: 1600,
+            rms_m: 0.005,
         };
         Landmark::first_seen(LandmarkId(0), &seen, &Isometry3::identity(), 0)
     }

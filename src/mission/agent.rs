@@ -5,7 +5,7 @@ use super::event::{Action, Event, Outcome};
 use super::journal::{Journal, Level};
 use super::ledger::Pastime;
 use super::opening::{Opening, OpeningStep, Placement};
-use super::operator::OperatorEvent;
+use super::operator::{Mode, OperatorEvent};
 use super::resume::{Put, placeable};
 use super::running::{Desk, Running, Verdict};
 use super::tally::Tally;
@@ -38,7 +38,8 @@ pub struct Agent {
     level: Option<String>,
     warnings: Vec<String>,
     operator_acts: usize,
-    leased: Span,
+    /// Time in which it was not the robot that decided.
+    operated: Span,
     clock: Arrival,
     /// Since when there is no robot in service because the link was lost, and why.
     lost: Option<(Arrival, String)>,
@@ -78,7 +79,7 @@ impl Agent {
             level: None,
             warnings: Vec::new(),
             operator_acts: 0,
-            leased: Span::ZERO,
+            operated: Span::ZERO,
             clock: Arrival::default(),
             lost: None,
             kept: None,
@@ -191,9 +192,9 @@ impl Agent {
         self.operator_acts
     }
 
-    /// Time under a drive lease so far.
-    pub fn leased(&self) -> Span {
-        self.leased
+    /// Time so far in which an operator held the drive lease, or nobody but an operator might drive.
+    pub fn operated(&self) -> Span {
+        self.operated
     }
 
     /// Session time since the link came up.
@@ -205,12 +206,20 @@ impl Agent {
     fn account(&mut self, now: Arrival) {
         let since = now - self.clock;
         self.clock = self.clock.max(now);
-        if let Phase::Running(running) = &mut self.phase {
-            let pastime = running.pastime();
-            running.ledger.spend(now, pastime);
-            if running.lease.command(now).is_some() {
-                self.leased += since;
+        let operated = match &mut self.phase {
+            Phase::Running(running) => {
+                let pastime = running.pastime();
+                running.ledger.spend(now, pastime);
+                running.mode == Mode::Teleop || running.lease.command(now).is_some()
             }
+            Phase::Ended(..) => false,
+            Phase::Waiting | Phase::Opening(_) => {
+                let mode = self.kept.as_ref().map_or(self.config.mission.mode, |kept| kept.mode);
+                self.began.is_some() && mode == Mode::Teleop
+            }
+        };
+        if operated {
+            self.operated += since;
         }
     }
 
@@ -348,7 +357,10 @@ impl Agent {
                     self.from_start = true;
                     self.connected(now);
                 }
-                OpeningStep::Failed(reason) => return Some(Outcome::NoRobot(reason)),
+                OpeningStep::Failed(reason) => {
+                    let reason = self.tally.gibberish().unwrap_or(reason);
+                    return Some(Outcome::NoRobot(reason));
+                }
                 OpeningStep::Open => self.open(now, out),
             }
         }
@@ -455,6 +467,9 @@ impl Agent {
 
     /// Stops the wheels and ends the mission.
     fn end(&mut self, outcome: Outcome, now: Arrival) -> Vec<Action> {
+        if let Some(text) = self.tally.warning() {
+            self.warn(now, text);
+        }
         self.journal.note(now, Level::Info, format!("mission over: {}", outcome.word()));
         let mut actions = Vec::new();
         let running = match std::mem::replace(&mut self.phase, Phase::Waiting) {

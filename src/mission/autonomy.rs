@@ -108,8 +108,7 @@ impl Running {
 
     /// Whether the robot may drive on its own: it can see edges, or the floor was vouched for.
     pub(super) fn may_explore(&self, config: &AgentConfig) -> bool {
-        self.acquisition.is_some()
-            || (config.belief.terrain.flat_floor && self.planar_lines >= PLANAR_LINES)
+        self.sees_edges() || (config.belief.terrain.flat_floor && self.planar_lines >= PLANAR_LINES)
     }
 
     /// Stands still, then looks.

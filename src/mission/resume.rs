@@ -69,7 +69,7 @@ impl Running {
         self.queue.clear();
         self.activity = Activity::Stand;
         self.refresh_grid(desk.now);
-        if self.mode == Mode::Teleop || self.acquisition.is_none() {
+        if self.mode == Mode::Teleop || !self.sees_edges() {
             return;
         }
         if desk.config.mission.flowing_sweeps {

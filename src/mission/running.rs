@@ -219,6 +219,15 @@ impl Running {
         if desk.config.mission.observe {
             return;
         }
+        if self.acquisition.is_some() && !self.sees_edges() {
+            if desk.config.mission.mode == Mode::Auto {
+                desk.warn(
+                    "this rig tilts but never looks at the ground, so it cannot see an edge: standing \
+                     still; `--mode teleop` lets you drive",
+                );
+            }
+            return;
+        }
         if self.acquisition.is_none() {
             if desk.config.mission.mode == Mode::Auto && !desk.config.belief.terrain.flat_floor {
                 desk.warn(
@@ -240,6 +249,12 @@ impl Running {
         }
         self.queue.extend(self.fan(desk.config).map(Look::Sweep));
         self.next_look_or_choose(desk);
+    }
+
+    /// Whether the laser can be tilted so far down that it meets level ground.
+    pub(super) fn sees_edges(&self) -> bool {
+        let sight = self.rig.visibility();
+        self.acquisition.is_some() && sight.is_some_and(|sight| sight.nearest_ahead_m.is_some())
     }
 
     /// The pose of the robot in the plane.
@@ -275,6 +290,11 @@ impl Running {
     /// Victim candidates with the evidence of a person.
     pub fn victims(&self) -> impl Iterator<Item = &Candidate> {
         self.candidates.confirmed(&self.victim_config)
+    }
+
+    /// The same with those that can only be one body made one.
+    pub fn bodies(&self) -> Vec<Candidate> {
+        self.candidates.bodies(&self.victim_config)
     }
 
     pub(super) fn refresh_grid(&mut self, now: Arrival) {

@@ -5,7 +5,8 @@
 //! uncompressed length and a CRC-32 of the compressed bytes (three little-endian `u32`), followed by
 //! zstd-compressed entries. Blocks are only appended, and each is whole in itself: a crash loses at
 //! most the block that was being filled ([`Writer`] closes one at least every
-//! [`BLOCK_SPAN`] of session time). Nothing in it depends on the wall date, the host or a path, so
+//! [`BLOCK_SPAN`] of session time). An empty block is the end of a recording that was closed: without
+//! it, what was being filled when the writer was stopped is missing. Nothing in it depends on the wall date, the host or a path, so
 //! the same mission gives the same bytes.
 
 mod codec;
@@ -22,7 +23,10 @@ use crate::time::Span;
 pub const MAGIC: &[u8; 8] = b"USARSES\n";
 
 /// Version of the format this code writes; readers refuse newer ones by name.
-pub const FORMAT_VERSION: u32 = 1;
+pub const FORMAT_VERSION: u32 = 2;
+
+/// First version whose recordings end with an empty block.
+const VERSION_WITH_END: u32 = 2;
 
 /// Session time after which an open block is closed even when it is small.
 pub const BLOCK_SPAN: Span = Span::from_millis(2_000);
@@ -101,17 +105,41 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_flipped_bit_is_found_by_the_checksum() {
+    fn two_blocks() -> Vec<u8> {
         let mut writer = Writer::new(Vec::new(), &header()).unwrap();
         writer.push(&Entry { arrival: Arrival(1), what: What::Wake }).unwrap();
         writer.flush_block().unwrap();
         writer.push(&Entry { arrival: Arrival(2), what: What::Wake }).unwrap();
-        let mut bytes = writer.finish().unwrap();
-        let last = bytes.len() - 1;
-        bytes[last] ^= 1;
-        let recording = read(&bytes).unwrap();
-        assert_eq!(recording.entries.len(), 1);
-        assert!(recording.loss.unwrap().contains("checksum"));
+        writer.finish().unwrap()
+    }
+
+    #[test]
+    fn a_flipped_bit_anywhere_is_found_and_the_blocks_before_it_are_kept() {
+        let whole = two_blocks();
+        let mut kept = std::collections::BTreeSet::new();
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 1;
+            if let Ok(recording) = read(&bytes) {
+                assert!(recording.loss.is_some(), "byte {at}");
+                kept.insert(recording.entries.len());
+            }
+        }
+        assert_eq!(kept.into_iter().collect::<Vec<_>>(), [0, 1, 2]);
+    }
+
+    #[test]
+    fn a_recording_whose_writer_was_killed_lacks_its_end() {
+        // All blocks that had been closed are there, and nothing after them.
+        let whole = two_blocks();
+        let ends: Vec<usize> = (1..whole.len())
+            .filter(|end| {
+                read(&whole[..*end]).is_ok_and(|recording| {
+                    recording.loss.is_some_and(|loss| loss.contains("the end is missing"))
+                })
+            })
+            .collect();
+        assert_eq!(ends.len(), 3, "after the header and after each block: {ends:?}");
+        assert_eq!(read(&whole).unwrap().loss, None);
     }
 }

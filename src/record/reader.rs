@@ -1,4 +1,4 @@
-use super::{Entry, FORMAT_VERSION, Header, MAGIC};
+use super::{Entry, FORMAT_VERSION, Header, MAGIC, VERSION_WITH_END};
 
 /// A block of more than this was never written by us; a damaged length is not believed.
 const LARGEST_BLOCK: usize = 64 * 1024 * 1024;
@@ -48,9 +48,11 @@ pub fn read(bytes: &[u8]) -> Result<Recording, ReadError> {
     let header: Header = postcard::from_bytes(rest).map_err(|_| ReadError::NoHeader)?;
     let mut entries = Vec::new();
     let mut loss = None;
+    let mut closed = false;
     while at < body.len() && loss.is_none() {
         match block_at(body, at) {
             Ok((block, next)) => {
+                closed = block.is_empty();
                 loss = decode_entries(&block, &mut entries)
                     .err()
                     .map(|reason| format!("block at byte {}: {reason}", at + MAGIC.len()));
@@ -58,6 +60,14 @@ pub fn read(bytes: &[u8]) -> Result<Recording, ReadError> {
             }
             Err(reason) => loss = Some(format!("block at byte {}: {reason}", at + MAGIC.len())),
         }
+    }
+    if loss.is_none() && !closed && version >= VERSION_WITH_END {
+        let until_s = entries.last().map_or(0.0, |entry| entry.arrival.seconds());
+        loss = Some(format!(
+            "the end is missing: its writer was stopped before it closed the recording; {} entries \
+             until {until_s:.1} s are there",
+            entries.len()
+        ));
     }
     Ok(Recording { header, entries, loss })
 }

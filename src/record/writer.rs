@@ -55,6 +55,10 @@ impl<W: Write> Writer<W> {
         if self.block.is_empty() {
             return Ok(());
         }
+        self.write_block()
+    }
+
+    fn write_block(&mut self) -> io::Result<()> {
         let packed = zstd::bulk::compress(&self.block, COMPRESSION_LEVEL)?;
         let mut head = Vec::with_capacity(12 + packed.len());
         head.extend_from_slice(&(packed.len() as u32).to_le_bytes());
@@ -68,13 +72,14 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Closes the last block and gives the sink back.
+    /// Closes the last block, marks the end and gives the sink back.
     ///
     /// # Errors
     ///
     /// Whatever the sink reports.
     pub fn finish(mut self) -> io::Result<W> {
         self.flush_block()?;
+        self.write_block()?;
         Ok(self.sink)
     }
 

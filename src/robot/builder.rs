@@ -319,6 +319,9 @@ impl RigBuilder {
     }
 
     fn link_warnings(&self, head: &ScanHead, warnings: &mut Vec<RigWarning>) {
+        if let Some(axis) = head.tilt().or(head.pan()) {
+            self.package_warnings(&axis.package, head, warnings);
+        }
         for (axis, what) in [(head.pan(), "pan"), (head.tilt(), "tilt")] {
             let Some(axis) = axis else { continue };
             if axis.speed_rad_s.is_none() && self.dialect == Dialect::Ut2004 {
@@ -331,6 +334,31 @@ impl RigBuilder {
         }
         if head.tilt().is_none() {
             warnings.push(RigWarning::Planar);
+        }
+    }
+
+    /// What the server did not tell of the package that turns the laser.
+    fn package_warnings(&self, package: &str, head: &ScanHead, warnings: &mut Vec<RigWarning>) {
+        let is = |name: &str| name.eq_ignore_ascii_case(package);
+        let what = match self.dialect {
+            Dialect::Ut2004 => "MisPkg",
+            Dialect::Udk => "Actuator",
+        };
+        let has_geo = self.packages.iter().any(|geo| is(&geo.name))
+            || self.actuators.iter().any(|geo| is(&geo.mounting.name));
+        if !has_geo {
+            let supposed = format!("{package} where the class table has it");
+            warnings.push(RigWarning::NoGeo { what: what.into(), supposed });
+        }
+        let has_conf = self.package_confs.iter().any(|conf| is(&conf.name))
+            || self.actuator_confs.iter().any(|conf| is(&conf.name));
+        if !has_conf {
+            let limits = head.tilt().and_then(|axis| axis.limits);
+            let supposed = limits.map_or("a tilt without limits".to_owned(), |span| {
+                let degrees = [span.min_rad, span.max_rad].map(f64::to_degrees);
+                format!("tilts from {:+.1}° to {:+.1}° (down)", degrees[0], degrees[1])
+            });
+            warnings.push(RigWarning::NoConf { what: format!("{what} {package}"), supposed });
         }
     }
 

@@ -8,6 +8,7 @@
 mod grid;
 mod image;
 mod line;
+mod points;
 
 pub use grid::PointGrid;
 pub use image::{ImageRow, RangeImage};

@@ -48,12 +48,14 @@ impl Check {
 
     pub(crate) fn finite(&mut self, values: &[f64], place: impl fmt::Display) {
         let bad = values.iter().find(|value| !value.is_finite());
-        self.that(bad.is_none(), place, format_args!("expected finite numbers, found {bad:?}"));
+        let found = bad.copied().unwrap_or_default();
+        self.that(bad.is_none(), place, format_args!("expected finite numbers, found {found}"));
     }
 
     pub(crate) fn positive(&mut self, values: &[f64], place: impl fmt::Display) {
         let bad = values.iter().find(|value| !(value.is_finite() && **value > 0.0));
-        self.that(bad.is_none(), place, format_args!("expected positive numbers, found {bad:?}"));
+        let found = bad.copied().unwrap_or_default();
+        self.that(bad.is_none(), place, format_args!("expected positive numbers, found {found}"));
     }
 
     pub(crate) fn unique<'a>(&mut self, names: impl Iterator<Item = &'a str>, what: &str) {

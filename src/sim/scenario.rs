@@ -177,10 +177,10 @@ impl Scenario {
         check.that(!self.robots.is_empty(), "robot", "expected at least one robot, found none");
         self.check_timing(check);
         let mut from_s = 0.0;
-        for phase in &self.phases {
+        for (number, phase) in self.phases.iter().enumerate() {
             check.that(
                 phase.until_s > from_s,
-                "phase until_s",
+                format_args!("phase {} until_s", number + 1),
                 format_args!("expected more than {from_s}, found {}", phase.until_s),
             );
             from_s = phase.until_s;
@@ -212,7 +212,10 @@ impl Scenario {
             check.that(
                 fault.robot.as_ref().is_none_or(known),
                 format_args!("{place} robot"),
-                format_args!("expected a robot of the scenario, found {:?}", fault.robot),
+                format_args!(
+                    "expected a robot of the scenario, found {:?}",
+                    fault.robot.as_deref().unwrap_or_default()
+                ),
             );
         }
     }
@@ -261,7 +264,11 @@ impl Scenario {
             check.that(
                 known,
                 format_args!("robot {:?} start", robot.name),
-                format_args!("expected a start of map {:?}, found {:?}", world.name(), robot.start),
+                format_args!(
+                    "expected a start of map {:?}, found {:?}",
+                    world.name(),
+                    robot.start.as_deref().unwrap_or_default()
+                ),
             );
         }
         check.finish(())

@@ -10,6 +10,10 @@ use std::collections::BTreeMap;
 /// Parts of one body lie within this distance of their middle.
 const BODY_RADIUS_M: f64 = 0.9;
 
+/// Confirmed candidates within this distance are one body to whoever looks for it: sightings from far
+/// away scatter by more than a body is wide, and the rules count a report within 1.5 m as found.
+const ONE_BODY_M: f64 = 1.5;
+
 /// When a candidate counts as a victim.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -91,6 +95,27 @@ impl Candidates {
         let config = *config;
         self.found.iter().filter(move |candidate| candidate.is_confirmed(&config))
     }
+
+    /// The candidates that count as victims, those close together taken as one.
+    pub fn bodies(&self, config: &VictimConfig) -> Vec<Candidate> {
+        let mut bodies: Vec<Candidate> = Vec::new();
+        for candidate in self.confirmed(config) {
+            let near = bodies
+                .iter_mut()
+                .find(|body| (body.place - candidate.place).xy().norm() <= ONE_BODY_M);
+            let Some(body) = near else {
+                bodies.push(candidate.clone());
+                continue;
+            };
+            body.weight += candidate.weight;
+            body.place += (candidate.place - body.place) * (candidate.weight / body.weight);
+            body.sightings += candidate.sightings;
+            for (part, count) in &candidate.parts {
+                *body.parts.entry(part.clone()).or_default() += count;
+            }
+        }
+        bodies
+    }
 }
 
 #[cfg(test)]
@@ -110,6 +135,22 @@ mod tests {
         assert_eq!(candidates.all().len(), 2);
         assert_eq!(confirmed.len(), 1);
         assert!((confirmed[0].place - Point3::new(2.05, 1.05, 0.1)).norm() < 0.1);
+    }
+
+    #[test]
+    fn candidates_about_one_body_are_one_and_the_next_body_is_another() {
+        let mut candidates = Candidates::default();
+        for x in [0.0, 1.0, 6.0] {
+            for part in ["Leg", "Arm", "Head"] {
+                candidates.sight(part, Point3::new(x, 0.0, 0.1), 2.0);
+            }
+        }
+        let config = VictimConfig::default();
+        assert_eq!(candidates.confirmed(&config).count(), 3);
+        let bodies = candidates.bodies(&config);
+        assert_eq!(bodies.len(), 2);
+        assert!((bodies[0].place.x - 0.5).abs() < 1e-9 && bodies[0].sightings == 6);
+        assert_eq!(bodies[0].parts["Leg"], 2);
     }
 
     #[test]

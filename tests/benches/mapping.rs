@@ -121,6 +121,7 @@ fn observation(frame: Isometry3<f64>, half: (f64, f64), rng: &mut Pcg64) -> Obse
         hull,
         mask,
         points: 2000,
+        rms_m: 0.003,
     }
 }
 

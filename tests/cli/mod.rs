@@ -132,10 +132,25 @@ fn a_scenario_with_a_missing_map_and_a_misspelt_key_are_named() {
     let scenario = folder.path().join("s.toml");
     let head = "map = \"gone.toml\"\n[[robot]]\nname = \"R1\"\nclass = \"USARBot.P3AT\"\n";
     fs::write(&scenario, head).unwrap();
-    fails_with(&["mission", text(&scenario)], &["gone.toml", "No such file"]);
+    fails_with(&["mission", text(&scenario)], &["names map", "gone.toml", "No such file"]);
+    for arguments in [&["sim", "--port", "0"][..], &["check", "--rig"], &["info"], &["mission"]] {
+        let output = usar(&[arguments, &[text(&scenario)]].concat());
+        assert_eq!(stderr(&output).matches("No such file").count(), 1, "{}", stderr(&output));
+    }
+    fs::write(&scenario, "map = \"gone.toml\"\n[agent.mission]\nsetle_s = 1.0\n").unwrap();
+    let checked = usar(&["check", text(&scenario)]);
+    for part in ["`settle_s`", "names map", "at least one robot"] {
+        assert!(stderr(&checked).contains(part), "{part}: {}", stderr(&checked));
+    }
     fs::write(&scenario, head.replace("class", "clas")).unwrap();
     fails_with(&["mission", text(&scenario)], &["s.toml:4", "`clas`", "did you mean `class`"]);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let box_map = root.join("maps/box.toml");
+    let agent = "[agent.mission]\nsetle_s = 1.0\n";
+    fs::write(&scenario, format!("{}{agent}", head.replace("gone.toml", text(&box_map)))).unwrap();
+    fails_with(&["sim", "--port", "0", text(&scenario)], &["s.toml:6", "`settle_s`"]);
     let config = folder.path().join("c.toml");
+    fails_with(&["mission", "box", "--config", text(&config)], &["cannot read", "c.toml"]);
     fs::write(&config, "[mission]\nsetle_s = 1.0\n").unwrap();
     let arguments = ["mission", "box", "--config", text(&config)];
     fails_with(&arguments, &["c.toml:2", "`setle_s`", "did you mean `settle_s`"]);
@@ -283,6 +298,49 @@ fn a_recording_with_a_changed_action_fails_its_verification() {
 }
 
 #[test]
+fn a_recording_without_its_end_is_done_with_loss() {
+    use usar_agent::record::{Header, Writer};
+    let folder = tempfile::tempdir().unwrap();
+    let [open, closed] = ["open.usar", "closed.usar"].map(|name| folder.path().join(name));
+    // What is on the disk when a run is killed: everything that was flushed.
+    let writer = Writer::new(fs::File::create(&open).unwrap(), &Header::default()).unwrap();
+    drop(writer);
+    Writer::new(fs::File::create(&closed).unwrap(), &Header::default()).unwrap().finish().unwrap();
+    let checked = usar(&["check", text(&open)]);
+    assert_eq!(checked.status.code(), Some(3), "{}", stderr(&checked));
+    assert!(stderr(&checked).contains("the end is missing"), "{}", stderr(&checked));
+    assert!(usar(&["check", text(&closed)]).status.success());
+}
+
+#[test]
+fn quiet_leaves_errors_alone_and_colour_is_for_whoever_asks() {
+    let warned = ["demo", "--time-limit", "1", "--console", "x"];
+    let folder = tempfile::tempdir().unwrap();
+    let said = |name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        stderr(&usar(&[&warned[..], &["--out", text(&out)], more].concat()))
+    };
+    assert!(said("usual", &[]).starts_with("warning: "));
+    assert_eq!(said("quiet", &["-q"]), "");
+    assert!(said("colour", &["--color", "always"]).contains("\x1b[1;33mwarning:\x1b[0m"));
+    assert!(!said("none", &["--color", "never"]).contains("\x1b[1"));
+    let gone = usar(&["info", "gone.usar", "-q"]);
+    assert!(stderr(&gone).starts_with("error: "), "{}", stderr(&gone));
+    let more = usar(&["mission", "box", "--time-limit", "2", "-v", "--out", text(folder.path())]);
+    assert!(stderr(&more).contains("connected; opening the session"), "{}", stderr(&more));
+}
+
+#[test]
+fn a_figure_without_a_folder_goes_under_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("usar"));
+    let output = command.args(["paper", "fig2"]).current_dir(folder.path()).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(!folder.path().join("fig2.png").exists());
+    assert!(folder.path().join("runs/latest/fig2.png").exists());
+}
+
+#[test]
 fn deliverables_that_are_not_built_are_misuse() {
     let folder = tempfile::tempdir().unwrap();
     for to in ["geotiff", "mcap", "mif"] {
@@ -314,4 +372,48 @@ fn the_ground_that_a_rig_can_see_is_printed() {
     // A laser 0.6 m above the floor that tilts by 60° sees the floor 0.35 m ahead of itself.
     assert!(said.contains("laser height   0.6") || said.contains("laser height   0.7"), "{said}");
     assert!(said.contains("nearest ground") && said.contains("blind radius"), "{said}");
+}
+
+#[test]
+fn organised_scans_leave_a_grid_with_the_floor_free_and_the_wall_in_it() {
+    use usar_agent::files::pcd::{Encoding, write_pcd};
+    use usar_agent::scan::PointGrid;
+    // A laser 0.6 m above a floor that ends at a wall 3 m ahead.
+    let mut points = Vec::new();
+    for row in 0..120 {
+        let (down, level) = (-0.4 + 0.01 * f64::from(row)).sin_cos();
+        for column in 0..121 {
+            let (left, ahead) = (-1.2 + 0.02 * f64::from(column)).sin_cos();
+            let [x, y, z] = [ahead * level, left, -ahead * down];
+            let floor = if z < -1e-3 { -0.6 / z } else { f64::INFINITY };
+            let wall = if x > 1e-3 { 3.0 / x } else { f64::INFINITY };
+            let range = floor.min(wall);
+            let hit = range < 12.0;
+            let p = [x, y, z].map(|v| if hit { (v * range) as f32 } else { f32::NAN });
+            points.push(p);
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let scan = folder.path().join("scan.pcd");
+    fs::write(&scan, write_pcd(&PointGrid::new(120, 121, points), Encoding::Binary)).unwrap();
+    let out = folder.path().join("map");
+    let mapped = usar(&["map", text(&scan), "--out", text(&out)]);
+    assert!(mapped.status.success(), "{}", stderr(&mapped));
+    assert!(out.join("trajectory.tum").exists() && out.join("map.png").exists());
+    let yaml = fs::read_to_string(out.join("map.yaml")).unwrap();
+    let origin = yaml.lines().find_map(|line| line.strip_prefix("origin: [")).unwrap();
+    let origin: Vec<f64> = origin.split(',').take(2).map(|n| n.trim().parse().unwrap()).collect();
+    let pgm = fs::read(out.join("map.pgm")).unwrap();
+    let head = String::from_utf8_lossy(&pgm[..20]).into_owned();
+    let size: Vec<usize> =
+        head.split_whitespace().skip(1).take(2).map(|n| n.parse().unwrap()).collect();
+    let pixels = &pgm[pgm.len() - size[0] * size[1]..];
+    let grey = |x: f64, y: f64| {
+        let column = ((x - origin[0]) / 0.05) as usize;
+        let row = size[1] - 1 - ((y - origin[1]) / 0.05) as usize;
+        pixels[row * size[0] + column]
+    };
+    assert_eq!([grey(1.5, 0.0), grey(2.0, 0.7), grey(2.0, -0.7)], [254; 3], "the floor is free");
+    let wall = |y: f64| (0..5).any(|i| grey(2.9 + 0.05 * f64::from(i), y) == 0);
+    assert!(wall(0.0) && wall(0.8) && wall(-0.8), "the wall is there");
 }

@@ -253,6 +253,7 @@ impl World {
             hull,
             mask,
             points: beams as usize,
+            rms_m: 0.003,
         })
     }
 }

@@ -115,9 +115,14 @@ async fn unanswered_questions_time_out_one_by_one_and_the_class_table_steps_in()
     let run = run("agent_unanswered", config, nobody).await;
     assert!(run.agent.running().is_some(), "{:?}", run.agent.outcome());
     let warnings = run.agent.warnings().join("\n");
-    for question in
-        ["GETGEO Robot", "GETCONF Robot", "GETGEO RangeScanner", "GETCONF RangeScanner Scanner1"]
-    {
+    for question in [
+        "GETGEO Robot",
+        "GETCONF Robot",
+        "GETGEO RangeScanner",
+        "GETCONF RangeScanner Scanner1",
+        "GETGEO MisPkg",
+        "GETCONF MisPkg CameraPanTilt",
+    ] {
         assert!(
             warnings.contains(&format!("{question} was not answered: supposing")),
             "{warnings}"
@@ -146,7 +151,10 @@ async fn broken_lines_are_counted_and_the_mission_goes_on() {
     assert_eq!(run.agent.outcome(), Some(&Outcome::Time));
     assert!(run.agent.running().is_some());
     assert!(run.agent.tally().problems.values().sum::<usize>() > 30);
-    assert!(run.agent.tally().quoted.len() <= 3);
+    let tally = run.agent.tally();
+    assert!(tally.quoted.len() <= 3 && tally.damaged > 20 && tally.damaged < tally.lines);
+    let warned = run.agent.warnings().iter().filter(|text| text.contains("were damaged"));
+    assert_eq!(warned.count(), 1, "{:?}", run.agent.warnings());
     verified(&run.recording);
 }
 

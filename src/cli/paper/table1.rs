@@ -114,6 +114,7 @@ pub fn observe(world: &[WorldPlane], world_from_robot: &Isometry3<f64>) -> Vec<O
             hull: plane.hull.clone(),
             mask: PlaneMask::default(),
             points: 100,
+            rms_m: 0.003,
         })
         .collect()
 }

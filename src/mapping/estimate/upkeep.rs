@@ -111,6 +111,7 @@ impl Estimate {
         let landmark = &mut self.landmarks[slot];
         landmark.hull.clear();
         landmark.mask = crate::mapping::mask::PlaneMask::default();
+        (landmark.points, landmark.rms_m) = (0, 0.0);
         for &(number, index) in &roots.sightings {
             let keyframe = &mut self.keyframes[number];
             let pose = self.graph.pose(keyframe.pose);
