@@ -61,10 +61,6 @@ pub(super) struct Question<'a> {
     pub(super) candidates: &'a [Vec<usize>],
     /// The landmark behind each plane of the belief.
     pub(super) landmarks: &'a [&'a Landmark],
-    /// Whether each of them was seen lately, so that it has drifted with the anchor.
-    pub(super) recent: &'a [bool],
-    /// Standard deviations of the anchor in the world over all three axes: metres, radians.
-    pub(super) drift: (f64, f64),
 }
 
 /// A jointly compatible set of pairs.
@@ -177,12 +173,10 @@ impl Question<'_> {
         let plane_from_observed =
             belief.planes[plane].inverse() * belief.world_from_robot * seen.robot_from_plane;
         let carried = carried_hull(&seen.hull, &plane_from_observed);
+        let pose = belief.pose_covariance();
         let reach = seen.robot_from_plane.translation.vector.norm();
-        let (mut shift, mut turn) = belief.spread();
-        if !self.recent[plane] {
-            shift = shift.hypot(self.drift.0);
-            turn = turn.hypot(self.drift.1);
-        }
+        let turn = (pose[(3, 3)] + pose[(4, 4)] + pose[(5, 5)]).max(0.0).sqrt();
+        let shift = (pose[(0, 0)] + pose[(1, 1)] + pose[(2, 2)]).max(0.0).sqrt();
         let gap = config.max_gap_m + 2.0 * (shift + reach * turn);
         if !hulls_meet(&map.hull, &carried, config.min_overlap_share, gap) {
             return false;
@@ -221,17 +215,8 @@ impl Question<'_> {
         anchors.sort_by(|a, b| area(b.0).total_cmp(&area(a.0)).then(a.0.cmp(&b.0)));
         anchors.truncate(config.anchors);
         anchors.sort_by_key(|(_, fitting)| fitting.len());
-        // The search copies the belief at every step: only the planes in question go along.
-        let mut planes: Vec<usize> = anchors.iter().flat_map(|anchor| anchor.1.clone()).collect();
-        planes.sort_unstable();
-        planes.dedup();
-        for plane in anchors.iter_mut().flat_map(|anchor| &mut anchor.1) {
-            *plane = planes.binary_search(plane).expect("all anchors' planes are listed");
-        }
-        let landmarks: Vec<&Landmark> = planes.iter().map(|&plane| self.landmarks[plane]).collect();
-        let recent: Vec<bool> = planes.iter().map(|&plane| self.recent[plane]).collect();
         let mut search = Search {
-            question: &Question { landmarks: &landmarks, recent: &recent, ..*self },
+            question: self,
             anchors: &anchors,
             config,
             slack,
@@ -239,7 +224,7 @@ impl Question<'_> {
             most: 0,
             found: Vec::new(),
         };
-        let start = Assignment { pairing: true, ..Assignment::none(&belief.about(&planes)) };
+        let start = Assignment { pairing: true, ..Assignment::none(belief) };
         search.descend(0, start);
         let mut found = search.found;
         // Not `search.most`: the set with most pairs may have lost its place to a likelier one.
@@ -247,25 +232,7 @@ impl Question<'_> {
         found.retain(|assignment| assignment.pairs.len() + slack >= most);
         found.sort_by(|a, b| b.score.total_cmp(&a.score));
         found.truncate(MOST_ASSIGNMENTS);
-        for assignment in &mut found {
-            for pair in &mut assignment.pairs {
-                pair.1 = planes[pair.1];
-            }
-            assignment.belief = self.after(belief, &assignment.pairs);
-        }
         found
-    }
-
-    /// A belief after pairs, as the search takes them in.
-    fn after(&self, belief: &Belief, pairs: &[(usize, usize)]) -> Belief {
-        let mut after = belief.clone();
-        for &(observation, plane) in pairs {
-            if settled(&after) {
-                break;
-            }
-            self.absorb(&mut after, observation, plane);
-        }
-        after
     }
 
     /// Decides every observation, given the belief after the joint search. Several observations may

@@ -3,7 +3,7 @@
 
 use super::innovation::Innovation;
 use super::observation::Observation;
-use super::perturbation::{first_jacobian, perturbed_plane, perturbed_pose, pose_error};
+use super::perturbation::{perturbed_plane, perturbed_pose, pose_error};
 use nalgebra::{
     Const, DMatrix, DVector, Dyn, Isometry3, Matrix2, Matrix2x6, Matrix3, Matrix3x4, Matrix3xX,
     Matrix6, OMatrix, SMatrix, Vector2, Vector3, Vector4, Vector6,
@@ -21,8 +21,7 @@ const LINEAR_TURN_RAD: f64 = 0.005;
 /// A tall matrix of R columns.
 type MatrixXxR<const R: usize> = OMatrix<f64, Dyn, Const<R>>;
 
-/// Joint estimate of a pose, the common errors of its scan and some planes. The covariance is that of
-/// errors beside a keyframe not long ago, which is taken as exact: see [`anchored`].
+/// Joint estimate of a pose, the common errors of its scan and some planes.
 #[derive(Clone, Debug)]
 pub(super) struct Belief {
     pub(super) world_from_robot: Isometry3<f64>,
@@ -30,34 +29,6 @@ pub(super) struct Belief {
     pub(super) planes: Vec<Isometry3<f64>>,
     /// Rows: pose, errors if there are any, planes.
     covariance: DMatrix<f64>,
-}
-
-/// The joint covariance of a pose and of planes beside another pose, the anchor, from that of the
-/// anchor, the pose and the planes in the world.
-///
-/// After a long way pose and planes are uncertain together by metres, and beside one another by
-/// millimetres. An update linearised in the world then moves all of them along what they share, by
-/// decimetres: products of large common errors with small angles are taken for measurements. Beside a
-/// keyframe that lies in the same part of the map nothing large is left. A rigid motion `[δt; δr]` of
-/// the world about the anchor moves a plane as it would the plane seen from a robot there: with the
-/// rows of [`Innovation`]'s `h_x`.
-pub(super) fn anchored(
-    joint: &DMatrix<f64>,
-    anchor: &Isometry3<f64>,
-    pose: &Isometry3<f64>,
-    planes: &[Isometry3<f64>],
-) -> DMatrix<f64> {
-    let size = joint.nrows();
-    let mut rows: MatrixXxR<POSE> = MatrixXxR::<POSE>::zeros(size);
-    rows.fixed_rows_mut::<POSE>(POSE).copy_from(&first_jacobian(anchor, pose));
-    for (i, plane) in planes.iter().enumerate() {
-        let there = Innovation::new(plane, anchor, &(anchor.inverse() * plane)).h_x;
-        rows.fixed_rows_mut::<3>(2 * POSE + 3 * i).copy_from(&there);
-    }
-    let own = joint.fixed_view::<POSE, POSE>(0, 0).into_owned();
-    let cross = joint.fixed_columns::<POSE>(0) * rows.transpose();
-    let beside = joint - &cross - cross.transpose() + &rows * own * rows.transpose();
-    beside.view((POSE, POSE), (size - POSE, size - POSE)).into_owned()
 }
 
 /// The rows of one pair at the present belief.
@@ -113,31 +84,6 @@ impl Belief {
             joint.clone()
         };
         Self { world_from_robot, errors: with_errors.then(Vector4::zeros), planes, covariance }
-    }
-
-    /// The same belief about the pose, the errors and some of the planes, in the order given.
-    pub(super) fn about(&self, planes: &[usize]) -> Self {
-        let first = self.first_plane();
-        let rows: Vec<usize> = (0..first)
-            .chain(planes.iter().flat_map(|plane| (0..3).map(move |i| first + 3 * plane + i)))
-            .collect();
-        let covariance =
-            DMatrix::from_fn(rows.len(), rows.len(), |i, j| self.covariance[(rows[i], rows[j])]);
-        Self {
-            world_from_robot: self.world_from_robot,
-            errors: self.errors,
-            planes: planes.iter().map(|&plane| self.planes[plane]).collect(),
-            covariance,
-        }
-    }
-
-    /// Standard deviations of the pose over all three axes: metres, radians.
-    pub(super) fn spread(&self) -> (f64, f64) {
-        let pose = self.pose_covariance();
-        let spread = |axes: std::ops::Range<usize>| {
-            axes.map(|axis| pose[(axis, axis)].max(0.0)).sum::<f64>().sqrt()
-        };
-        (spread(0..3), spread(3..6))
     }
 
     fn first_plane(&self) -> usize {
@@ -256,13 +202,14 @@ impl Belief {
         self.shift(error);
     }
 
-    /// Takes a measured attitude in; its noise is that beside the anchor.
+    /// Takes a measured attitude in.
     pub(super) fn absorb_attitude(
         &mut self,
         residual: &Vector2<f64>,
         rows: &Matrix2x6<f64>,
-        noise: &Matrix2<f64>,
+        sigma_rad: f64,
     ) {
+        let noise = Matrix2::identity() * (sigma_rad * sigma_rad);
         let p = self.pose_covariance();
         let s = rows * p * rows.transpose() + noise;
         let Some(inverse) = s.try_inverse() else { return };
@@ -383,38 +330,6 @@ mod tests {
             ((state >> 33) as f64 / f64::from(1_u32 << 31) - 0.5) * scale
         });
         &root * root.transpose() + DMatrix::identity(size, size) * (1e-3 * scale * scale)
-    }
-
-    /// A drift of the whole world by decimetres is gone beside the anchor, and what planes and pose are
-    /// uncertain by on their own is left; the drift's rows are found by moving everything.
-    #[test]
-    fn what_moves_with_the_anchor_is_not_uncertain_beside_it() {
-        let anchor = Isometry3::new(Vector3::new(40.0, -25.0, 1.0), Vector3::new(0.1, -0.2, 2.0));
-        let pose = anchor * Isometry3::new(Vector3::new(1.0, 0.3, 0.1), Vector3::z() * 0.4);
-        let turned = Isometry3::new(Vector3::new(3.0, 1.0, 0.5), Vector3::new(0.2, 1.3, 0.1));
-        let planes = [anchor * turned, pose * turned * turned];
-        let step = 1e-6;
-        let mut rows = DMatrix::zeros(18, 6);
-        for axis in 0..6 {
-            let mut error = Vector6::zeros();
-            error[axis] = step;
-            let world = perturbed_pose(&anchor, &error) * anchor.inverse();
-            rows[(axis, axis)] = 1.0;
-            let of_pose = pose_error(&pose, &(world * pose)) / step;
-            rows.view_mut((6, axis), (6, 1)).copy_from(&of_pose);
-            for (i, plane) in planes.iter().enumerate() {
-                let moved = Innovation::new(plane, &Isometry3::identity(), &(world * plane)).h;
-                rows.view_mut((12 + 3 * i, axis), (3, 1)).copy_from(&(moved / step));
-            }
-        }
-        let own = random_covariance(12, 5, 1e-3);
-        let mut joint = &rows * random_covariance(6, 7, 0.3) * rows.transpose();
-        let mut rest = joint.view_mut((6, 6), (12, 12));
-        rest += &own;
-        let beside = anchored(&joint, &anchor, &pose, &planes);
-        // Differences err by 1e-6 of a drift of 0.1 m² at a lever of some metres.
-        assert!((&beside - &own).amax() < 1e-5, "{}", (&beside - &own).amax());
-        assert!(joint.view((6, 6), (12, 12)).amax() > 0.01);
     }
 
     proptest! {

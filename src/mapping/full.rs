@@ -76,8 +76,6 @@ pub struct Full {
     hypotheses: Vec<Hypothesis>,
     /// Poses of the keyframes as they were told to the outside, by whatever explanation led then.
     told: Vec<Isometry3<f64>>,
-    /// Identity of the next landmark, whichever explanation finds it.
-    next_landmark: u32,
 }
 
 /// One way to go on from a hypothesis.
@@ -97,7 +95,7 @@ impl Full {
     ) -> Self {
         let estimate = Estimate::new(config.graph, world_from_robot, covariance);
         let first = Hypothesis { estimate, log_weight: 0.0, behind: 0 };
-        Self { config, hypotheses: vec![first], told: Vec::new(), next_landmark: 0 }
+        Self { config, hypotheses: vec![first], told: Vec::new() }
     }
 
     /// Takes in a scan made after `motion`, whose covariance is a perturbation in the frame at its
@@ -213,16 +211,12 @@ impl Full {
             let parent = &mut parents[branch.parent];
             let from = if needed_again { parent.clone() } else { parent.take() };
             let mut from = from.expect("a parent is taken by its last branch");
-            // Explanations found landmarks of their own: an identity is never that of two of them, or
-            // whoever remembers it would take one for the other when another explanation leads.
-            from.estimate.begin_identities_at(self.next_landmark);
             let report = from.estimate.apply(
                 arrival,
                 &prepared[branch.prepared],
                 &branch.assignment,
                 config,
             );
-            self.next_landmark = from.estimate.next_landmark();
             let pose = from.estimate.last_pose();
             from.behind = if at == 0 { 0 } else { from.behind + 1 };
             from.log_weight = branch.log_weight - branches[0].log_weight;

@@ -6,8 +6,6 @@ use std::collections::BTreeMap;
 pub const MASK_CELL_M: f64 = 0.1;
 /// Cells along the edge of a tile; a tile is one `u64`.
 const TILE: i32 = 8;
-/// Tiles along each axis that a tile reaches into when it is turned: its diagonal is √2 of its edge.
-const CARRIED_TILES: usize = 3;
 /// Cells of which a mask is sampled when only nearness is asked.
 const NEAR_SAMPLES: usize = 200;
 /// Neighbouring points farther apart than this have not shown what lies between them: at grazing
@@ -27,10 +25,7 @@ pub struct PlaneMask {
 
 /// The cell that holds a local coordinate.
 fn cell_of(coordinate_m: f64) -> i32 {
-    // `floor` is a call where the processor is not known to have it as an instruction.
-    let scaled = (coordinate_m / MASK_CELL_M).clamp(-1e6, 1e6);
-    let towards_zero = scaled as i32;
-    towards_zero - i32::from(f64::from(towards_zero) > scaled)
+    (coordinate_m / MASK_CELL_M).floor().clamp(-1e6, 1e6) as i32
 }
 
 impl PlaneMask {
@@ -101,45 +96,31 @@ impl PlaneMask {
         let quarter = 0.25 * MASK_CELL_M;
         let turn = self_from_other.rotation.to_rotation_matrix().into_inner();
         let shift = self_from_other.translation.vector;
-        let carry = |u: f64, v: f64| {
-            let x = turn[(0, 0)] * u + turn[(0, 1)] * v + shift.x;
-            let y = turn[(1, 0)] * u + turn[(1, 1)] * v + shift.y;
-            (cell_of(x), cell_of(y))
-        };
-        for (&(tile_x, tile_y), &bits) in &other.tiles {
-            let area = carried_tile((tile_x, tile_y), carry);
-            // What is seen again was mostly seen before.
-            if self.is_full_between(area.0, area.1) {
-                continue;
-            }
-            let mut drawn = [0_u64; CARRIED_TILES * CARRIED_TILES];
-            for bit in (0..TILE * TILE).filter(|bit| bits >> bit & 1 == 1) {
-                let (u, v) = centre(tile_x * TILE + bit % TILE, tile_y * TILE + bit / TILE);
-                for (du, dv) in [
-                    (-quarter, -quarter),
-                    (quarter, -quarter),
-                    (-quarter, quarter),
-                    (quarter, quarter),
-                ] {
-                    let (x, y) = carry(u + du, v + dv);
-                    let column = (x.div_euclid(TILE) - area.0.0) as usize;
-                    let row = (y.div_euclid(TILE) - area.0.1) as usize;
-                    drawn[row * CARRIED_TILES + column] |=
-                        1 << (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE));
+        // Bits of the tile that the walk is in; written out when it leaves.
+        let mut at = None;
+        let mut bits = 0;
+        for cell in other.cells() {
+            for (dx, dy) in
+                [(-quarter, -quarter), (quarter, -quarter), (-quarter, quarter), (quarter, quarter)]
+            {
+                let (u, v) = (cell.x + dx, cell.y + dy);
+                let x = cell_of(turn[(0, 0)] * u + turn[(0, 1)] * v + shift.x);
+                let y = cell_of(turn[(1, 0)] * u + turn[(1, 1)] * v + shift.y);
+                let tile = (x.div_euclid(TILE), y.div_euclid(TILE));
+                if at != Some(tile) {
+                    self.set_bits(at, bits);
+                    (at, bits) = (Some(tile), 0);
                 }
-            }
-            for (index, &bits) in drawn.iter().enumerate().filter(|(_, bits)| **bits != 0) {
-                let (column, row) =
-                    ((index % CARRIED_TILES) as i32, (index / CARRIED_TILES) as i32);
-                *self.tiles.entry((area.0.0 + column, area.0.1 + row)).or_default() |= bits;
+                bits |= 1 << (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE));
             }
         }
+        self.set_bits(at, bits);
     }
 
-    /// Whether all tiles from `low` to `high`, both included, are set throughout.
-    fn is_full_between(&self, low: (i32, i32), high: (i32, i32)) -> bool {
-        (low.0..=high.0)
-            .all(|x| (low.1..=high.1).all(|y| self.tiles.get(&(x, y)) == Some(&u64::MAX)))
+    fn set_bits(&mut self, tile: Option<(i32, i32)>, bits: u64) {
+        if let Some(tile) = tile {
+            *self.tiles.entry(tile).or_default() |= bits;
+        }
     }
 
     /// Whether any cell of `other`, carried over by `self_from_other`, lies within `reach_m` (in each
@@ -276,20 +257,6 @@ impl MaskBuilder {
     }
 }
 
-/// The tiles, first and last, that hold what a tile becomes under a map of its plane into cells.
-fn carried_tile(
-    tile: (i32, i32),
-    carry: impl Fn(f64, f64) -> (i32, i32),
-) -> ((i32, i32), (i32, i32)) {
-    let corner = |k: i32| f64::from(k * TILE) * MASK_CELL_M;
-    let corners = [(0, 0), (1, 0), (0, 1), (1, 1)]
-        .map(|(x, y)| carry(corner(tile.0 + x), corner(tile.1 + y)))
-        .map(|(x, y)| (x.div_euclid(TILE), y.div_euclid(TILE)));
-    let low = corners.iter().fold(corners[0], |low, c| (low.0.min(c.0), low.1.min(c.1)));
-    let high = corners.iter().fold(corners[0], |high, c| (high.0.max(c.0), high.1.max(c.1)));
-    (low, high)
-}
-
 /// Ones from `low` to `high`, both cut to one row of a tile.
 fn bits_between(low: i32, high: i32) -> u64 {
     let (low, high) = (low.clamp(0, TILE), (high + 1).clamp(0, TILE));
@@ -327,31 +294,6 @@ mod tests {
             }
         }
         builder.finish()
-    }
-
-    /// Tile by tile, with what is full already left out, against point by point.
-    #[test]
-    fn a_merge_sets_the_cells_of_all_quarter_points() {
-        let (wall, known) = (rectangle(-1.3, 0.2, 2.9, 1.9), rectangle(-0.8, -3.0, 3.1, 1.7));
-        for k in 0..40 {
-            let turn = UnitQuaternion::from_scaled_axis(
-                Vector3::new(0.02, -0.03, 0.0) + Vector3::z() * 0.17 * f64::from(k),
-            );
-            let shift = Vector3::new(0.13 * f64::from(k) - 2.0, 0.7, 0.01);
-            let at = Isometry3::from_parts(shift.into(), turn);
-            let (mut merged, mut expected) = (known.clone(), known.clone());
-            merged.merge(&wall, &at);
-            for cell in wall.cells() {
-                for (du, dv) in [(-0.025, -0.025), (0.025, -0.025), (-0.025, 0.025), (0.025, 0.025)]
-                {
-                    expected.insert(&(at * Point3::new(cell.x + du, cell.y + dv, 0.0)).xy());
-                }
-            }
-            let apart =
-                |a: &PlaneMask, b: &PlaneMask| a.cells().filter(|cell| !b.contains(cell)).count();
-            // A point on the edge of two cells may fall into either.
-            assert!(apart(&merged, &expected) + apart(&expected, &merged) <= 1, "{k}");
-        }
     }
 
     #[test]

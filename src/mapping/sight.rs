@@ -55,7 +55,7 @@ impl Contradiction {
 
 impl Estimate {
     /// How many points of the scan lie behind landmarks when the robot stands at `world_from_robot`,
-    /// whose error `[δt; δr]` beside the anchor has that covariance: along each landmark's normal a pose that pairs have
+    /// whose error `[δt; δr]` has that covariance: along each landmark's normal a pose that pairs have
     /// fixed is held to centimetres, or a robot beside a stair could be a step of 0.18 m higher.
     ///
     /// `left_out` are observations that are said not to be a landmark which they fit. Where they lie
@@ -76,14 +76,9 @@ impl Estimate {
         let around = hulls.chain(scan.contacts.iter().copied());
         let around = around.map(|p| world_from_robot * p).chain([eye]);
         let position_covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let drift = self.position_drift();
         let walls: Vec<Wall<'_>> = self
             .landmarks_about(around)
-            .filter_map(|landmark| {
-                let position =
-                    self.position_covariance_beside(landmark.id, &position_covariance, &drift);
-                Wall::facing(landmark, &eye, &position)
-            })
+            .filter_map(|l| Wall::facing(l, &eye, &position_covariance))
             .collect();
         let mut found = Contradiction {
             footing: footing(&walls, world_from_robot, covariance, &scan.contacts),

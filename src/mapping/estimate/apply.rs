@@ -7,7 +7,7 @@ use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::observation::Observation;
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::report::{Addition, Association, RefusalReason, UpdateReport};
-use nalgebra::{Isometry3, Matrix3x4};
+use nalgebra::Matrix3x4;
 
 /// Most planes that one scan may bring in, the largest first: all of a scan's planes are tied to one
 /// pose, and what a thousand slivers add does not pay for a joint covariance of three thousand rows.
@@ -126,7 +126,6 @@ impl Estimate {
             landmark,
             factor,
             observation: observation.clone(),
-            drawn_at: Isometry3::identity(),
         });
     }
 

@@ -51,10 +51,6 @@ pub(super) struct Prepared {
     candidates: Vec<Vec<usize>>,
     /// The landmark behind each plane of the belief.
     planes: Vec<LandmarkId>,
-    /// Whether each of them was seen lately.
-    recent: Vec<bool>,
-    /// Standard deviations of the anchor in the world: metres, radians.
-    drift: (f64, f64),
     common: Vec<Option<Matrix3x4<f64>>>,
     motion_covariance: Matrix6<f64>,
 }
@@ -66,20 +62,6 @@ struct Sighting {
     landmark: LandmarkId,
     factor: FactorId,
     observation: Observation,
-    /// The observed frame in the landmark's when the landmark's extent was last drawn.
-    drawn_at: Isometry3<f64>,
-}
-
-impl Sighting {
-    /// The observed frame in the landmark's, from a pose.
-    fn plane_from_observed(
-        &self,
-        landmark: &Landmark,
-        world_from_robot: &Isometry3<f64>,
-    ) -> Isometry3<f64> {
-        let world_from_observed = world_from_robot * self.observation.robot_from_plane;
-        landmark.world_from_plane.inverse() * world_from_observed
-    }
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -136,16 +118,6 @@ impl Estimate {
             start: world_from_robot,
             start_covariance: positive(covariance, &floor),
         }
-    }
-
-    /// Identity that the next landmark will have.
-    pub(super) fn next_landmark(&self) -> u32 {
-        self.next_landmark
-    }
-
-    /// Gives no identity below `first` to landmarks from now on.
-    pub(super) fn begin_identities_at(&mut self, first: u32) {
-        self.next_landmark = self.next_landmark.max(first);
     }
 
     /// Whether no scan was taken in yet.

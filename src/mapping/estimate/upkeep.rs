@@ -1,6 +1,6 @@
 //! What hangs on the solution: landmarks' frames and extents, the index, corrected keyframes.
 
-use super::{Estimate, Sighting};
+use super::Estimate;
 use crate::mapping::graph::Key;
 use crate::mapping::index::Bounds;
 use crate::mapping::innovation::Innovation;
@@ -57,9 +57,8 @@ impl Estimate {
         let pose = self.last_pose();
         let mut rebuilt = BTreeSet::new();
         for moved in &report.moved {
-            let sightings = &self.keyframes[moved.keyframe].sightings;
-            let slid = sightings.iter().filter(|s| self.has_slid(s, &moved.world_from_robot));
-            rebuilt.extend(slid.map(|sighting| sighting.landmark));
+            let seen = self.keyframes[moved.keyframe].sightings.iter().map(|s| s.landmark);
+            rebuilt.extend(seen);
         }
         for pair in &report.associations {
             let Some(slot) = self.slot(pair.landmark) else { continue };
@@ -71,11 +70,6 @@ impl Estimate {
             }
             if !rebuilt.contains(&pair.landmark) {
                 landmark.extend(&observations[pair.observation], &pose);
-                let sightings = &mut self.keyframes[number].sightings;
-                let drawn = sightings.iter_mut().find(|s| s.index == pair.observation);
-                if let Some(sighting) = drawn {
-                    sighting.drawn_at = sighting.plane_from_observed(landmark, &pose);
-                }
             }
         }
         for id in rebuilt {
@@ -94,16 +88,6 @@ impl Estimate {
         report.weak_directions = weak_directions(&information, &pose, WEAK_M);
     }
 
-    /// Whether a sighting lies elsewhere in its landmark's plane than it was drawn. A keyframe that was
-    /// corrected together with what it saw draws nothing new.
-    fn has_slid(&self, sighting: &Sighting, world_from_robot: &Isometry3<f64>) -> bool {
-        let Some(landmark) = self.landmark(sighting.landmark) else { return false };
-        let now = sighting.plane_from_observed(landmark, world_from_robot);
-        let shift = now.translation.vector - sighting.drawn_at.translation.vector;
-        shift.xy().norm() > MOVED_M
-            || now.rotation.angle_to(&sighting.drawn_at.rotation) > MOVED_RAD
-    }
-
     /// Hull and mask of a landmark anew from all its sightings: after a correction the patches lie
     /// elsewhere within the plane, which the plane itself does not show.
     pub(super) fn rebuild_extent(&mut self, id: LandmarkId) {
@@ -113,11 +97,10 @@ impl Estimate {
         landmark.mask = crate::mapping::mask::PlaneMask::default();
         (landmark.points, landmark.rms_m) = (0, 0.0);
         for &(number, index) in &roots.sightings {
-            let keyframe = &mut self.keyframes[number];
+            let keyframe = &self.keyframes[number];
             let pose = self.graph.pose(keyframe.pose);
-            if let Some(sighting) = keyframe.sightings.iter_mut().find(|s| s.index == index) {
+            if let Some(sighting) = keyframe.sightings.iter().find(|s| s.index == index) {
                 landmark.extend(&sighting.observation, &pose);
-                sighting.drawn_at = sighting.plane_from_observed(landmark, &pose);
             }
         }
         self.refile(slot);

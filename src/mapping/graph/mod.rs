@@ -4,9 +4,8 @@
 //! are factors. The graph keeps the square root of its information matrix as a tree (a multifrontal
 //! Cholesky factor): a new scan touches the cliques between its variables and the root, which is what
 //! the robot sees now, and nothing else. So an update costs what is visible, not what is mapped, and
-//! yet equals the solution of the whole problem, but for corrections below a tenth of a millimetre that
-//! are carried into the far map over the updates that follow. Revisiting a place re-eliminates the path
-//! to it, which is what closes a loop; a factor can be taken out again, which is what undoes one.
+//! yet equals the solution of the whole problem. Revisiting a place re-eliminates the path to it,
+//! which is what closes a loop; a factor can be taken out again, which is what undoes one.
 //!
 //! Covariances come out of triangular solves with that factor, so they are symmetric and positive by
 //! construction after any number of updates, without Joseph's form. A dense filter in Joseph's form
@@ -28,7 +27,7 @@ pub use factor::{Factor, Linearised, positive, scaled_errors};
 
 use nalgebra::{Isometry3, Vector4};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 use tree::Clique;
 
 /// Identity of a variable within one graph.
@@ -62,26 +61,13 @@ pub struct GraphConfig {
     /// A correction smaller than this (metres or radians) is not carried further down the tree.
     /// Valid: 0 or more.
     pub negligible: f64,
-    /// A correction of at least this (metres or radians) is carried down the tree at once, however much
-    /// of the map it moves. Valid: at least `negligible`.
-    pub urgent: f64,
-    /// Cliques that a smaller correction reaches in one round, as many again that earlier ones have left
-    /// waiting. Valid: at least 1.
-    pub carried: usize,
     /// Most rounds of linearisation in one update. Valid: at least 1.
     pub max_rounds: usize,
 }
 
 impl Default for GraphConfig {
     fn default() -> Self {
-        Self {
-            relinearise_m: 0.01,
-            relinearise_rad: 0.001,
-            negligible: 2e-5,
-            urgent: 1e-3,
-            carried: 64,
-            max_rounds: 6,
-        }
+        Self { relinearise_m: 0.01, relinearise_rad: 0.001, negligible: 2e-5, max_rounds: 6 }
     }
 }
 
@@ -134,8 +120,6 @@ pub struct Graph {
     factors: Vec<Option<Held>>,
     cliques: Vec<Option<Clique>>,
     free_cliques: Vec<usize>,
-    /// Cliques that a small correction has not reached yet, in the order in which it came to them.
-    waiting: VecDeque<usize>,
     /// Variables whose cliques are out of date.
     stale: BTreeSet<Key>,
 }
@@ -149,7 +133,6 @@ impl Graph {
             factors: Vec::new(),
             cliques: Vec::new(),
             free_cliques: Vec::new(),
-            waiting: VecDeque::new(),
             stale: BTreeSet::new(),
         }
     }

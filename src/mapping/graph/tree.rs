@@ -2,10 +2,10 @@
 
 use super::dense::factorise_leading;
 use super::ordering::{Symbolic, eliminate};
-use super::{Graph, GraphConfig, GraphUpdate, Key};
+use super::{Graph, GraphUpdate, Key};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Information below which a direction counts as unknown (1 per km² or per (10⁴ rad)²): far below
 /// any prior.
@@ -173,8 +173,6 @@ impl Graph {
             removed.push(clique);
         }
         orphans.sort_unstable();
-        // Their variables are about to be eliminated and solved again.
-        self.waiting.retain(|slot| !doomed.contains(slot));
         (removed, orphans)
     }
 
@@ -321,57 +319,25 @@ impl Graph {
 
     /// Solves from the root down: all of `renewed` (parents first), and below them as far as
     /// corrections matter. Returns the variables whose solution changed.
-    ///
-    /// A heading that is known a little better shifts a whole map by fractions of a millimetre at every
-    /// scan. Such corrections are carried a few cliques at a time, those next to the root first, so
-    /// that an update costs what is near; what they have not reached yet waits for the next update.
     fn solve_down(&mut self, renewed: &[usize]) -> BTreeSet<Key> {
         let fresh: BTreeSet<usize> = renewed.iter().copied().collect();
         let mut changed = BTreeSet::new();
-        let mut urgent = BTreeSet::new();
-        let mut pending: VecDeque<usize> = VecDeque::new();
+        let mut pending: Vec<usize> = Vec::new();
         for &slot in renewed {
-            self.solve_clique(slot, &mut changed, &mut urgent);
+            self.solve_clique(slot, &mut changed);
             pending.extend(self.clique(slot).children.iter().filter(|c| !fresh.contains(c)));
         }
-        let mut left = self.config.carried;
-        let mut waiting = BTreeSet::new();
-        while let Some(slot) = pending.pop_front() {
-            let separators = &self.clique(slot).separators;
-            let at_once = separators.iter().any(|key| urgent.contains(key));
-            if !at_once && !separators.iter().any(|key| changed.contains(key)) {
-                continue;
-            }
-            if at_once || left > 0 {
-                left = left.saturating_sub(usize::from(!at_once));
-                pending.extend(self.clique(slot).children.iter().copied());
-                self.solve_clique(slot, &mut changed, &mut urgent);
-            } else {
-                waiting.insert(slot);
+        while let Some(slot) = pending.pop() {
+            let clique = self.clique(slot);
+            if clique.separators.iter().any(|key| changed.contains(key)) {
+                pending.extend(clique.children.iter().copied());
+                self.solve_clique(slot, &mut changed);
             }
         }
-        // Those that waited longest are solved where they are; what that changes goes on from there.
-        for _ in 0..self.config.carried {
-            let Some(slot) = self.waiting.pop_front() else { break };
-            let mut now = BTreeSet::new();
-            self.solve_clique(slot, &mut now, &mut urgent);
-            if !now.is_empty() {
-                waiting.extend(self.clique(slot).children.iter().copied());
-                changed.extend(now);
-            }
-        }
-        let known: BTreeSet<usize> = self.waiting.iter().copied().collect();
-        self.waiting.extend(waiting.difference(&known));
         changed
     }
 
-    /// Solves one clique for its frontal variables; notes which of them changed, and which by much.
-    fn solve_clique(
-        &mut self,
-        slot: usize,
-        changed: &mut BTreeSet<Key>,
-        urgent: &mut BTreeSet<Key>,
-    ) {
+    fn solve_clique(&mut self, slot: usize, changed: &mut BTreeSet<Key>) {
         let clique = self.clique(slot);
         let frontal = clique.columns.ncols();
         let size = clique.columns.nrows() - 1;
@@ -388,7 +354,7 @@ impl Graph {
         }
         let solved = clique.columns.rows(0, frontal).tr_solve_lower_triangular_mut(&mut solution);
         debug_assert!(solved, "pivots are positive after elimination");
-        let GraphConfig { negligible, urgent: much, .. } = self.config;
+        let negligible = self.config.negligible;
         let frontals = self.clique(slot).frontals.clone();
         let mut at = 0;
         for key in frontals {
@@ -396,12 +362,8 @@ impl Graph {
             let dimension = variable.at.dimension();
             let new = &solution.as_slice()[at..at + dimension];
             let old = &mut variable.delta[..dimension];
-            let most = old.iter().zip(new).map(|(old, new)| (old - new).abs()).fold(0.0, f64::max);
-            if most > negligible {
+            if old.iter().zip(new).any(|(old, new)| (old - new).abs() > negligible) {
                 changed.insert(key);
-            }
-            if most > much {
-                urgent.insert(key);
             }
             old.copy_from_slice(new);
             at += dimension;
