@@ -64,6 +64,9 @@ pub struct Timing {
 /// must take such a stamp for this much later to stay on the safe side.
 const SCANNER_LAG: Span = Span::from_millis(300);
 
+/// Added to a delay of commands that was measured, for the wait until one is surely obeyed.
+const DELAY_SPARE: Span = Span::from_millis(20);
+
 /// A line asked for and not answered is asked for again after this; real scanners speak as often.
 const ASK_EVERY: Span = Span::from_millis(200);
 
@@ -194,6 +197,9 @@ impl HeadControl {
     /// the law that CONF told, unless there is none or the joint is slower than told.
     pub(super) fn adopt(&mut self, fit: &ServoFit, lag: Option<(Span, Span)>) {
         self.tilt.set_law(fit.law);
+        // On a slow connection the setting falls short; waiting longer than need be does no harm.
+        let measured = fit.delay + fit.time_sigma + fit.time_sigma + DELAY_SPARE;
+        self.latency = self.latency.max(measured);
         let slower_than_told = match (self.tilt_proof, fit.law) {
             (
                 Some(ServoLaw::Hinge { speed_rad_s: told, gap_rad: told_gap }),

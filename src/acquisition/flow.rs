@@ -286,8 +286,19 @@ impl Flow {
                     (here.angle_rad - self.furthest_rad).abs() > 1e-3,
                     here.angle_rad,
                 );
-                self.end_if_stuck(control, now, actions);
-                return;
+                let rests = self.rests(control);
+                if !rests || (last - here.angle_rad) * direction <= 1.5 * step {
+                    self.end_if_stuck(control, now, actions);
+                    return;
+                }
+                // Limits narrower than told, or a joint that sticks at this end: what lies between
+                // here and the other end can still be taken.
+                self.remarks.push(format!(
+                    "the tilt rests at {:.2}° though {} was demanded: the sweep begins there",
+                    self.rests_at_rad(control).to_degrees(),
+                    self.demanded
+                ));
+                self.demanded = QuarterDegrees::nearest(here.angle_rad);
             }
             self.stage = Stage::Flowing;
             self.furthest_rad = here.angle_rad;
@@ -329,20 +340,29 @@ impl Flow {
         }
     }
 
+    /// Whether the tilt has not come on for so many lines that it must be at rest.
+    fn rests(&self, control: &HeadControl) -> bool {
+        // A slow approach moves by little between lines; only readings can tell it from a stop.
+        self.idle_lines >= IDLE_LINES && !control.tilt.moves(control.clock().latest())
+    }
+
+    /// Where a tilt rests that is not where it should be: as it reads itself, where it does.
+    fn rests_at_rad(&self, control: &HeadControl) -> f64 {
+        control.tilt.last_reading().map_or(self.furthest_rad, |reading| reading.angle_rad)
+    }
+
     fn end_if_stuck(
         &mut self,
         control: &mut HeadControl,
         now: Arrival,
         actions: &mut Vec<HeadAction>,
     ) -> bool {
-        // A slow approach moves by little between lines; only readings can tell it from a stop.
-        let told = control.tilt.moves(control.clock().latest());
-        if self.idle_lines < IDLE_LINES || told {
+        if !self.rests(control) {
             return false;
         }
         self.remarks.push(format!(
             "the tilt rests at {:.2}° though {} was demanded: the sweep ends there",
-            self.furthest_rad.to_degrees(),
+            self.rests_at_rad(control).to_degrees(),
             self.demanded
         ));
         self.finish(control, now, actions);

@@ -9,6 +9,8 @@ const REACHES_M: [f64; 3] = [3.0, 5.0, 8.0];
 const DEEPEST_M: f64 = 0.8;
 /// Depths are counted in steps of this, in metres.
 const STEP_M: f64 = 0.01;
+/// Depths to either side of the commonest that are the same floor, in steps.
+const SPREAD: usize = 4;
 /// Points at one depth that make a floor, and how many times the average depth's they must be: a wall
 /// has as many at every depth.
 const ENOUGH: usize = 50;
@@ -42,8 +44,11 @@ fn floor_within(image: &RangeImage, reach_m: f64) -> Option<f64> {
         .iter()
         .enumerate()
         .max_by_key(|(index, count)| (**count, std::cmp::Reverse(*index)))?;
-    let average = depths.len() as f64 / counts.iter().filter(|count| **count > 0).count() as f64;
-    if *count < ENOUGH || (*count as f64) < TIMES_THE_REST * average {
+    // Noise spreads the floor itself over a few depths.
+    let is_floor = |index: usize| index.abs_diff(commonest) <= SPREAD;
+    let others = counts.iter().enumerate().filter(|(index, _)| !is_floor(*index));
+    let (rest, steps) = others.fold((0, 0), |(rest, steps), (_, count)| (rest + count, steps + 1));
+    if *count < ENOUGH || (*count * steps) as f64 <= TIMES_THE_REST * rest as f64 {
         return None;
     }
     let middle_m = (commonest as f64 + 0.5) * STEP_M;
