@@ -11,7 +11,7 @@ use super::fan::FloorPlane;
 use super::grid::{CellClass, Grid, GridCell};
 use super::lattice::{CHUNK, CellIndex, Chunk};
 use super::surface::{Seen, Surface, Void};
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use std::collections::VecDeque;
 
 /// Step between two cells of which one is only assumed: its height is a guess.
@@ -20,6 +20,8 @@ const ASSUMED_STEP_M: f64 = 0.15;
 const PASSED_BELOW_M: f64 = 0.15;
 /// How far from the level such a proof still belongs to its edge.
 const EDGE_REACH_M: f64 = 1.5;
+/// Width about the hull that a standing robot is taken to have tried with its wheels, in metres.
+const STAND_M: f64 = 0.06;
 /// An obstacle that reaches from here up hides the ground behind it.
 const OPAQUE_FROM_M: f64 = 0.30;
 /// Flat log-odds, in tenths, from which a cell counts as occupied or free in 2D mode.
@@ -51,10 +53,37 @@ impl Terrain {
             inscribed_m: self.shape.inscribed_radius_m(),
             sure_m: 0.5 * self.config.sure_gap_m,
         };
+        self.allow_stand(&mut grid, world_from_robot);
         level.mark_sure(&mut grid);
         self.measure_room(&mut grid);
         mark_reachable(&mut grid);
         grid
+    }
+
+    /// Ground under the robot's own hull is not too steep: it stands there. What was read of it on
+    /// the way there under a tilted body must not keep the robot from leaving.
+    fn allow_stand(&self, grid: &mut Grid, world_from_robot: &Isometry3<f64>) {
+        let (half_length_m, half_width_m) =
+            (0.5 * self.shape.length_m + STAND_M, 0.5 * self.shape.width_m + STAND_M);
+        let centre = world_from_robot.translation.vector;
+        let ahead = (world_from_robot.rotation * Vector3::x()).xy().normalize();
+        let reach_m = half_length_m.hypot(half_width_m);
+        let low = grid.cell_of(centre.x - reach_m, centre.y - reach_m);
+        let high = grid.cell_of(centre.x + reach_m, centre.y + reach_m);
+        for y in low.y..=high.y {
+            for x in low.x..=high.x {
+                let cell = CellIndex { x, y };
+                let from = grid.centre(cell).coords - centre.xy();
+                let (along_m, aside_m) = (ahead.dot(&from).abs(), ahead.perp(&from).abs());
+                if let Some(index) = grid.index(cell)
+                    && grid.cells[index].class == CellClass::TooSteep
+                    && along_m <= half_length_m
+                    && aside_m <= half_width_m
+                {
+                    grid.cells[index].class = CellClass::Free;
+                }
+            }
+        }
     }
 
     fn measure_room(&self, grid: &mut Grid) {
