@@ -102,6 +102,12 @@ impl std::fmt::Display for Blocked {
     }
 }
 
+/// Change of slope between the ground here and ahead that is a step: one of 0.03 m in a cell of 0.05 m.
+const STEP_SLOPE: f64 = 0.18;
+
+/// How far ahead of the hull a step is looked for, in tenths of a metre: the way it takes to slow down.
+const STEP_AHEAD: u32 = 4;
+
 /// What a step of the follower came to.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum FollowStatus {
@@ -125,6 +131,7 @@ pub struct Follower {
     squeezed: Footprint,
     steepest: f64,
     inscribed_m: f64,
+    half_length_m: f64,
     path: Path,
     along_m: f64,
     turning: bool,
@@ -141,6 +148,7 @@ impl Follower {
             footprint,
             steepest: shape.max_slope_rad.tan(),
             inscribed_m: shape.inscribed_radius_m(),
+            half_length_m: 0.5 * shape.length_m,
             config,
             path: Path::default(),
             along_m: 0.0,
@@ -276,6 +284,9 @@ impl Follower {
             .min(speed_for_curvature(curvature, config.turn_rps, full_mps))
             .min(speed_for_slope(f64::from(here.slope), self.steepest, config.slow_mps, full_mps))
             .min(self.speed_mps.max(0.0) + config.acceleration_mps2 * config.cycle_s);
+        if self.meets_a_step(pose, grid, f64::from(here.slope)) {
+            speed_mps = speed_mps.min(config.slow_mps);
+        }
         let ahead_m = 0.5;
         let next = self.path.pose_at(self.along_m + ahead_m);
         for point in [pose.point(), next.point()] {
@@ -309,6 +320,22 @@ impl Follower {
             }
             _ => Ok(speed_mps.min(stop_mps)),
         }
+    }
+
+    /// Whether the ground that the hull comes over next breaks: a kerb or debris that the wheels climb,
+    /// the foot or the crest of a ramp. The hull strikes it at the speed the robot has.
+    fn meets_a_step(&self, pose: &Pose2, grid: &Grid, slope: f64) -> bool {
+        let (from_m, step_m) = (self.half_length_m, 0.1);
+        (0..=STEP_AHEAD).any(|step| {
+            let ahead = pose.driven(from_m + step_m * f64::from(step), 0.0);
+            let (sin, cos) = ahead.yaw_rad.sin_cos();
+            [-1.0, -0.5, 0.0, 0.5, 1.0].into_iter().any(|share| {
+                let aside_m = share * self.inscribed_m;
+                let (x_m, y_m) = (ahead.x_m - sin * aside_m, ahead.y_m + cos * aside_m);
+                let there = grid.get(grid.cell_of(x_m, y_m));
+                there.class.is_drivable() && (f64::from(there.slope) - slope).abs() > STEP_SLOPE
+            })
+        })
     }
 
     /// How far the robot can go from `pose` before its hull meets anything unsafe, and what that is:
