@@ -289,7 +289,7 @@ impl Calibration {
             identify(moving.start_rad, limits, &moving.commands, seen, prior, least)
         };
         // Readings and commands are on one clock. The stamps of lines lag by what nobody has told.
-        let by_readings = law_of(&readings, Span(0));
+        let by_readings = law_of(&readings, Span::ZERO);
         let line_lag = by_readings.as_ref().and_then(|fit| {
             let mut track = AxisTrack::new(Some(fit.law), limits, moving.start_rad);
             for &(stamp, demand) in &moving.commands {

@@ -298,7 +298,10 @@ impl Flow {
                     self.rests_at_rad(control).to_degrees(),
                     self.demanded
                 ));
+                // Told to stay, so that the law does not carry it on towards what it cannot reach.
                 self.demanded = QuarterDegrees::nearest(here.angle_rad);
+                let stay = Demand::Angle(self.demanded.radians());
+                actions.push(HeadAction::Send(control.command_tilt(stay, now)));
             }
             self.stage = Stage::Flowing;
             self.furthest_rad = here.angle_rad;

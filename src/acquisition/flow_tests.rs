@@ -90,31 +90,30 @@ fn every_set_point_in_motion_lies_on_the_grid_of_quarter_degrees() {
     }
 }
 
+/// The second of two continuous scans, with the paper's rows, in its time, at the right tilts.
+fn the_papers_scan(name: &str, behaviour: Behaviour, seed: u64) -> Scan {
+    let mut bed = Testbed::new(behaviour, Faults::default(), seed);
+    let mut acquisition = calibrated(&mut bed);
+    take(&mut bed, &mut acquisition, SweepRequest::continuous());
+    let scan = take(&mut bed, &mut acquisition, SweepRequest::continuous());
+    assert!((69..=70).contains(&scan.filed), "{name}: {} rows", scan.filed);
+    assert!((19.0..21.0).contains(&scan.seconds()), "{name}: {} s", scan.seconds());
+    let errors = bed.tilt_errors_deg(&scan);
+    assert!(quantile(&errors, 0.99) < 0.15, "{name}: {}", quantile(&errors, 0.99));
+    scan
+}
+
 #[test]
 fn the_continuous_profile_takes_the_papers_seventy_rows_in_nineteen_seconds() {
     for (name, behaviour) in [("with readings", ut2004(true)), ("without", ut2004(false))] {
-        let mut bed = Testbed::new(behaviour, Faults::default(), 23);
-        let mut acquisition = calibrated(&mut bed);
-        take(&mut bed, &mut acquisition, SweepRequest::continuous());
-        let scan = take(&mut bed, &mut acquisition, SweepRequest::continuous());
-        assert!((69..=70).contains(&scan.filed), "{name}: {} rows", scan.filed);
-        assert!((19.0..21.0).contains(&scan.seconds()), "{name}: {} s", scan.seconds());
-        let errors = bed.tilt_errors_deg(&scan);
-        assert!(quantile(&errors, 0.99) < 0.15, "{name}: {}", quantile(&errors, 0.99));
+        the_papers_scan(name, behaviour, 23);
     }
 }
 
 #[test]
 fn without_rates_the_continuous_profile_follows_a_ramp_to_the_same_seventy_rows() {
     for (name, behaviour) in [("with readings", udk(true)), ("without", udk(false))] {
-        let mut bed = Testbed::new(behaviour, Faults::default(), 24);
-        let mut acquisition = calibrated(&mut bed);
-        take(&mut bed, &mut acquisition, SweepRequest::continuous());
-        let scan = take(&mut bed, &mut acquisition, SweepRequest::continuous());
-        assert!((69..=70).contains(&scan.filed), "{name}: {} rows", scan.filed);
-        assert!((19.0..21.0).contains(&scan.seconds()), "{name}: {} s", scan.seconds());
-        let errors = bed.tilt_errors_deg(&scan);
-        assert!(quantile(&errors, 0.99) < 0.15, "{name}: {}", quantile(&errors, 0.99));
+        let scan = the_papers_scan(name, behaviour, 24);
         // Of a constant rate: from row to row by the time between them, not in jerks.
         let rows = scan.image.rows();
         for pair in rows.windows(2).skip(2) {

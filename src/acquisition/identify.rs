@@ -333,7 +333,7 @@ mod tests {
         ) {
             let law = ServoLaw::Hinge { speed_rad_s: speed, gap_rad: gap_deg.to_radians() };
             let (commands, readings) = observed(law, delay, 0.0);
-            let fit = identify(0.0, None, &commands, &readings, Some(ServoLaw::hinge(0.17)), Span(0)).unwrap();
+            let fit = identify(0.0, None, &commands, &readings, Some(ServoLaw::hinge(0.17)), Span::ZERO).unwrap();
             prop_assert!((fit.delay.seconds() - delay).abs() < 0.008, "{fit:?} for {law:?}");
             prop_assert!(fit.rms_rad < 2e-4, "{fit:?}");
             let (_, lines) = observed(law, delay, lag);
@@ -346,7 +346,7 @@ mod tests {
         fn a_spring_is_found_again(frequency in 4.0..25.0f64, damping in 0.3..1.5f64, delay in 0.0..0.1f64) {
             let law = ServoLaw::Spring { frequency_rad_s: frequency, damping };
             let (commands, readings) = observed(law, delay, 0.0);
-            let fit = identify(0.0, None, &commands, &readings, None, Span(0)).unwrap();
+            let fit = identify(0.0, None, &commands, &readings, None, Span::ZERO).unwrap();
             prop_assert!(fit.rms_rad < 4e-4, "{fit:?} for {law:?} {delay}");
         }
     }
@@ -359,8 +359,8 @@ mod tests {
         let free =
             identify(0.0, None, &commands, &readings, None, Span::from_millis(-1000)).unwrap();
         assert!(free.delay < Span::from_millis(-25), "{free:?}");
-        let bound = identify(0.0, None, &commands, &readings, None, Span(0));
-        assert!(bound.is_none_or(|fit| fit.delay >= Span(0)), "{bound:?}");
+        let bound = identify(0.0, None, &commands, &readings, None, Span::ZERO);
+        assert!(bound.is_none_or(|fit| fit.delay >= Span::ZERO), "{bound:?}");
     }
 
     #[test]
@@ -369,7 +369,7 @@ mod tests {
         for (i, reading) in readings.iter_mut().enumerate() {
             reading.angle_rad = 0.1 * ((i * i) as f64).sin();
         }
-        assert_eq!(identify(0.0, None, &commands, &readings, None, Span(0)), None);
-        assert_eq!(identify(0.0, None, &commands, &readings[..5], None, Span(0)), None);
+        assert_eq!(identify(0.0, None, &commands, &readings, None, Span::ZERO), None);
+        assert_eq!(identify(0.0, None, &commands, &readings[..5], None, Span::ZERO), None);
     }
 }

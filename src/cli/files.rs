@@ -8,6 +8,16 @@ use std::io::{Read as _, Write as _};
 use std::ops::Range;
 use std::path::Path;
 
+/// Form of what goes to standard output.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// A table for people
+    #[default]
+    Text,
+    /// One JSON document
+    Json,
+}
+
 /// An organised scan from a file; `-` is standard input.
 pub fn read_scan(path: &Path) -> Result<PointGrid> {
     let name = path.display();

@@ -2,7 +2,7 @@
 
 mod grid;
 
-use super::files::{median, read_scan, write_stdout};
+use super::files::{Format, median, read_scan, write_stdout};
 use super::say;
 use crate::export::landmarks::{landmark_json, landmark_polygon, rows};
 use crate::export::ply;
@@ -60,15 +60,6 @@ enum ModeArgument {
     Full,
     /// The paper's Maximum Incremental Probability filter
     Mip,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// A table for people
-    #[default]
-    Text,
-    /// One JSON document
-    Json,
 }
 
 /// What one scan came to.

@@ -1,6 +1,6 @@
 //! `usar scan`: recorded triples put together to organised scans, as the paper's real robot takes them.
 
-use super::files::write_stdout;
+use super::files::{Format, write_stdout};
 use super::session::{self, Session};
 use crate::acquisition::{
     CONTINUOUS_CYCLE_S, HEADING, RecordedTriples, TiltMount, Triple, scan_by_request,
@@ -11,7 +11,7 @@ use crate::files::replace::replace_file;
 use crate::scan::RangeImage;
 use crate::time::Span;
 use anyhow::{Context, Result, bail};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use nalgebra::{Isometry3, Vector3};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
@@ -62,15 +62,6 @@ pub struct ScanArguments {
     /// Form of the list of sweeps on standard output
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// A table for people
-    #[default]
-    Text,
-    /// One JSON document
-    Json,
 }
 
 fn any_seconds(text: &str) -> Result<f64, String> {

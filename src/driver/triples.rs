@@ -2,7 +2,7 @@
 
 use super::replay::Replay;
 use crate::acquisition::{Synchronised, Synchroniser, TiltMount};
-use crate::mission::{Agent, BodyAttitude, MotionTracker, PlanarPose};
+use crate::mission::{Agent, MotionTracker};
 use crate::protocol::message::Sen;
 use crate::protocol::{Message, parse};
 use crate::record::{Recording, What};
@@ -100,20 +100,11 @@ impl Gathered {
     }
 
     fn attitude(&mut self, reading: &InsReading) {
-        self.motion.attitude(BodyAttitude {
-            roll_rad: reading.roll_rad,
-            pitch_rad: reading.pitch_rad,
-            heading_rad: reading.yaw_rad,
-        });
+        self.motion.attitude(reading.into());
     }
 
     fn odometry(&mut self, reading: &OdometryReading) {
-        let wheels = PlanarPose {
-            x_m: reading.odom_from_robot.translation.x,
-            y_m: reading.odom_from_robot.translation.y,
-            heading_rad: reading.odom_from_robot.rotation.angle(),
-        };
-        if let Some((increment, _)) = self.motion.wheels(wheels) {
+        if let Some((increment, _)) = self.motion.wheels(reading.into()) {
             self.frame_from_robot *= increment;
         }
         self.readings.pose(reading.stamp.unwrap_or(self.latest), self.frame_from_robot);

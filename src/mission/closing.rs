@@ -51,6 +51,7 @@ impl Running {
         }
         true
     }
+
     /// Whether the sweeps so far leave the place or the heading badly known.
     fn is_vague(&self) -> bool {
         let covariance = self.belief.mapper().covariance();

@@ -2,6 +2,7 @@
 
 use crate::geometry::wrap_pi;
 use crate::mapping::{TurnSource, tilted_increment};
+use crate::robot::{InsReading, OdometryReading};
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
 
@@ -16,6 +17,14 @@ pub struct PlanarPose {
     pub heading_rad: f64,
 }
 
+impl From<&OdometryReading> for PlanarPose {
+    fn from(reading: &OdometryReading) -> Self {
+        let place = &reading.odom_from_robot;
+        let [x_m, y_m] = [place.translation.x, place.translation.y];
+        Self { x_m, y_m, heading_rad: place.rotation.angle() }
+    }
+}
+
 /// Attitude of the body as an inertial unit gives it: roll, pitch and heading of `Rz Ry Rx`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BodyAttitude {
@@ -25,6 +34,13 @@ pub struct BodyAttitude {
     pub pitch_rad: f64,
     /// About z, left positive.
     pub heading_rad: f64,
+}
+
+impl From<&InsReading> for BodyAttitude {
+    fn from(reading: &InsReading) -> Self {
+        let InsReading { roll_rad, pitch_rad, yaw_rad, .. } = *reading;
+        Self { roll_rad, pitch_rad, heading_rad: yaw_rad }
+    }
 }
 
 /// Joins wheel odometry and inertial attitude into increments.

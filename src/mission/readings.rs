@@ -1,6 +1,6 @@
 //! Readings: what the server tells becomes motion, lines and candidates of the robot in service.
 
-use super::motion::{BodyAttitude, PlanarPose};
+use super::motion::PlanarPose;
 use super::running::{Activity, Desk, Running, Verdict};
 use crate::acquisition::{HeadEvent, ParkState};
 use crate::protocol::Message;
@@ -80,19 +80,11 @@ impl Running {
     }
 
     fn take_attitude(&mut self, reading: &InsReading) {
-        self.belief.take_attitude(BodyAttitude {
-            roll_rad: reading.roll_rad,
-            pitch_rad: reading.pitch_rad,
-            heading_rad: reading.yaw_rad,
-        });
+        self.belief.take_attitude(reading.into());
     }
 
     fn take_odometry(&mut self, reading: &OdometryReading) {
-        let wheels = PlanarPose {
-            x_m: reading.odom_from_robot.translation.x,
-            y_m: reading.odom_from_robot.translation.y,
-            heading_rad: reading.odom_from_robot.rotation.angle(),
-        };
+        let wheels = PlanarPose::from(reading);
         match reading.stamp {
             Some(stamp) => self.take_wheels(wheels, stamp),
             None => self.wheels = Some(wheels),

@@ -1,5 +1,5 @@
 use super::Pose2;
-use crate::terrain::{CellClass, CellIndex, Grid, RobotShape};
+use crate::terrain::{CellClass, CellIndex, Grid, RobotShape, TRIED_M};
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
@@ -9,9 +9,6 @@ const EDGE_SHARE: f64 = 0.7;
 
 /// A hull nearer to an edge than this does not move on any ground that it can be told of, in metres.
 const LEAST_GAP_M: f64 = 0.03;
-
-/// Width about the hull that a standing robot is taken to have tried with its wheels, in metres.
-const UNDER_M: f64 = 0.06;
 
 /// The hull's rectangle, with what it keeps between itself and each kind of cell.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -129,7 +126,7 @@ impl Footprint {
                 let aside_m = (cos * dy - sin * dx).abs();
                 let underneath = !class.is_edge()
                     && standing.is_some_and(|standing| {
-                        let spare_m = if class == CellClass::Occupied { 0.0 } else { UNDER_M };
+                        let spare_m = if class == CellClass::Occupied { 0.0 } else { TRIED_M };
                         self.covers(standing, &centre, spare_m)
                     });
                 let mut leaving = || {

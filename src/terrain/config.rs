@@ -1,6 +1,9 @@
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
+/// Width about the hull that a standing robot is taken to have tried with its wheels, in metres.
+pub const TRIED_M: f64 = 0.06;
+
 /// What the robot's body can pass, cross and climb. Defaults: the paper's Pioneer 3AT with its laser
 /// head.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -20,7 +20,7 @@ mod project;
 mod rays;
 mod surface;
 
-pub use config::{RobotShape, TerrainConfig};
+pub use config::{RobotShape, TRIED_M, TerrainConfig};
 pub use grid::{CellClass, Grid, GridCell, Trinary};
 pub use lattice::CellIndex;
 pub use surface::{Seen, Surface, Void};
@@ -442,5 +442,56 @@ mod tests {
         assert_eq!(class(0.8, 0.7), CellClass::Unknown);
         assert_eq!(class(0.0, 0.95), CellClass::Unknown);
         assert_eq!(class(std::f64::consts::PI, 0.7), CellClass::Unknown);
+    }
+
+    fn level_terrain() -> (Terrain, Isometry3<f64>) {
+        let mut terrain = Terrain::new(TerrainConfig::default(), RobotShape::default());
+        let pose = Isometry3::translation(0.0, 0.0, terrain.shape.base_above_floor_m);
+        terrain.assume(&pose, 2.0);
+        (terrain, pose)
+    }
+
+    /// One image hits what stands 0.3 m high over a cell.
+    fn hit(terrain: &mut Terrain, cell: CellIndex) {
+        let (chunk, place) = lattice::split(cell);
+        terrain.lattice.chunk_or_new(chunk).update_column(place, column::bin_of(0.3), 1, 0);
+    }
+
+    #[test]
+    fn a_lone_point_is_no_obstacle_but_two_are_and_so_is_one_seen_twice() {
+        let (alone, beside, twice) =
+            (CellIndex { x: 20, y: 0 }, CellIndex { x: 0, y: 20 }, CellIndex { x: -20, y: 0 });
+        let (mut terrain, pose) = level_terrain();
+        for cell in [alone, beside, CellIndex { x: 1, y: 20 }, twice, twice] {
+            hit(&mut terrain, cell);
+        }
+        let grid = terrain.project(&pose);
+        assert!(grid.get(alone).class.is_drivable());
+        assert_eq!(grid.get(beside).class, CellClass::Occupied);
+        assert_eq!(grid.get(twice).class, CellClass::Occupied);
+    }
+
+    #[test]
+    fn ground_is_too_steep_but_under_the_robot_that_stands_on_it() {
+        let (mut terrain, pose) = level_terrain();
+        for x in -16..16 {
+            for y in -16..16 {
+                let cell = CellIndex { x, y };
+                *terrain.lattice.ground_mut(cell) = surface::GroundCell::default();
+                terrain.lattice.ground_mut(cell).observe(&Observation {
+                    z_m: 0.03 * f64::from(x),
+                    sigma_m: 0.01,
+                    distance_m: 1.0,
+                    seen: Seen::Measured,
+                    scan: 1,
+                });
+            }
+        }
+        let grid = terrain.project(&pose);
+        let half_cells = (0.5 * terrain.shape.length_m / grid.cell_m()) as i32;
+        assert_eq!(grid.get(CellIndex { x: 0, y: 0 }).class, CellClass::Free);
+        assert_eq!(grid.get(CellIndex { x: half_cells, y: 0 }).class, CellClass::Free);
+        assert_eq!(grid.get(CellIndex { x: half_cells + 3, y: 0 }).class, CellClass::TooSteep);
+        assert_eq!(grid.get(CellIndex { x: 0, y: half_cells + 3 }).class, CellClass::TooSteep);
     }
 }

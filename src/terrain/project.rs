@@ -6,6 +6,7 @@
 
 use super::Terrain;
 use super::column::{BINS, bin_of, bits};
+use super::config::TRIED_M;
 use super::distance::distances;
 use super::fan::FloorPlane;
 use super::grid::{CellClass, Grid, GridCell};
@@ -20,8 +21,6 @@ const ASSUMED_STEP_M: f64 = 0.15;
 const PASSED_BELOW_M: f64 = 0.15;
 /// How far from the level such a proof still belongs to its edge.
 const EDGE_REACH_M: f64 = 1.5;
-/// Width about the hull that a standing robot is taken to have tried with its wheels, in metres.
-const STAND_M: f64 = 0.06;
 /// An obstacle that reaches from here up hides the ground behind it.
 const OPAQUE_FROM_M: f64 = 0.30;
 /// Flat log-odds, in tenths, from which a cell counts as occupied or free in 2D mode.
@@ -64,7 +63,7 @@ impl Terrain {
     /// the way there under a tilted body must not keep the robot from leaving.
     fn allow_stand(&self, grid: &mut Grid, world_from_robot: &Isometry3<f64>) {
         let (half_length_m, half_width_m) =
-            (0.5 * self.shape.length_m + STAND_M, 0.5 * self.shape.width_m + STAND_M);
+            (0.5 * self.shape.length_m + TRIED_M, 0.5 * self.shape.width_m + TRIED_M);
         let centre = world_from_robot.translation.vector;
         let ahead = (world_from_robot.rotation * Vector3::x()).xy().normalize();
         let reach_m = half_length_m.hypot(half_width_m);

@@ -167,20 +167,11 @@ impl Bench {
         }
         match message {
             Message::Sen(Sen::Ins(ins)) => {
-                let ins = self.rig.ins(ins);
-                self.motion.attitude(BodyAttitude {
-                    roll_rad: ins.roll_rad,
-                    pitch_rad: ins.pitch_rad,
-                    heading_rad: ins.yaw_rad,
-                });
+                self.motion.attitude(BodyAttitude::from(&self.rig.ins(ins)));
             }
             Message::Sen(Sen::Odometry(odometry)) => {
                 let reading = self.rig.odometry(odometry);
-                let wheels = PlanarPose {
-                    x_m: reading.odom_from_robot.translation.x,
-                    y_m: reading.odom_from_robot.translation.y,
-                    heading_rad: reading.odom_from_robot.rotation.angle(),
-                };
+                let wheels = PlanarPose::from(&reading);
                 if let Some((increment, _)) = self.motion.wheels(wheels) {
                     self.frame_from_robot *= increment;
                 }
