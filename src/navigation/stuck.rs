@@ -24,6 +24,9 @@ pub struct StuckConfig {
     /// Time in which a stopped robot may still roll out and its odometry lag behind, in seconds.
     /// [0, 2]
     pub coast_s: f64,
+    /// Time in which a robot that was told to move may still stand, in seconds: the way of the command
+    /// and of the reading, and the motors. [0, 2]
+    pub start_s: f64,
     /// Roll or pitch beyond which the robot may tip over, in radians. (0, 1.2]
     pub tilt_rad: f64,
 }
@@ -38,6 +41,7 @@ impl Default for StuckConfig {
             gripping_share: 0.35,
             push_m: 0.10,
             coast_s: 1.0,
+            start_s: 0.6,
             tilt_rad: 0.47,
         }
     }
@@ -115,33 +119,71 @@ impl std::fmt::Display for Trouble {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StuckDetector {
     config: StuckConfig,
-    samples: VecDeque<Motion>,
+    samples: VecDeque<Sample>,
+    /// The way that the command in force moves the robot, and since when.
+    way: Option<(Way, Arrival)>,
+}
+
+/// One moment, and whether the robot may still have to start.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Sample {
+    motion: Motion,
+    starting: bool,
+}
+
+/// Which way a command moves the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+enum Way {
+    Ahead,
+    Back,
+    Left,
+    Right,
+}
+
+impl Way {
+    fn of(command: DriveCommand) -> Option<Self> {
+        if command.linear_mps != 0.0 {
+            Some(if command.linear_mps > 0.0 { Self::Ahead } else { Self::Back })
+        } else if command.angular_rps != 0.0 {
+            Some(if command.angular_rps > 0.0 { Self::Left } else { Self::Right })
+        } else {
+            None
+        }
+    }
 }
 
 impl StuckDetector {
     /// A detector that has seen nothing.
     pub fn new(config: StuckConfig) -> Self {
-        Self { config, samples: VecDeque::new() }
+        Self { config, samples: VecDeque::new(), way: None }
     }
 
     /// Forgets the past: after a recovery, a jump of the pose, a pause.
     pub fn reset(&mut self) {
         self.samples.clear();
+        self.way = None;
     }
 
     /// Takes in a sample and says what is wrong, if anything. Leaning is reported at once, the rest
     /// when a whole window was seen.
     pub fn note(&mut self, motion: Motion) -> Option<Trouble> {
         let window = Span::from_seconds(self.config.window_s);
-        self.samples.push_back(motion);
-        while self.samples.len() > 2 && motion.arrival - self.samples[1].arrival >= window {
+        let way = Way::of(motion.command);
+        if self.way.map(|(way, _)| way) != way {
+            self.way = way.map(|way| (way, motion.arrival));
+        }
+        let starting = self.way.is_some_and(|(_, since)| {
+            motion.arrival - since <= Span::from_seconds(self.config.start_s)
+        });
+        self.samples.push_back(Sample { motion, starting });
+        while self.samples.len() > 2 && motion.arrival - self.samples[1].motion.arrival >= window {
             self.samples.pop_front();
         }
         if motion.roll_rad.abs().max(motion.pitch_rad.abs()) > self.config.tilt_rad {
             let Motion { roll_rad, pitch_rad, .. } = motion;
             return Some(Trouble::Tilted { roll_rad, pitch_rad });
         }
-        if motion.arrival - self.samples[0].arrival < window {
+        if motion.arrival - self.samples[0].motion.arrival < window {
             return None;
         }
         self.judge()
@@ -152,24 +194,29 @@ impl StuckDetector {
         let (mut asked_m, mut asked_rad) = (0.0, 0.0);
         let (mut turned_by_wheels, mut turned) = (0.0, 0.0);
         for (before, after) in self.samples.iter().zip(self.samples.iter().skip(1)) {
-            let dt_s = (after.arrival - before.arrival).seconds();
-            asked_m += after.command.linear_mps * dt_s;
-            asked_rad += after.command.angular_rps * dt_s;
+            let may_stand = after.starting;
+            let (before, after) = (&before.motion, &after.motion);
+            if !may_stand {
+                let dt_s = (after.arrival - before.arrival).seconds();
+                asked_m += after.command.linear_mps * dt_s;
+                asked_rad += after.command.angular_rps * dt_s;
+            }
             turned_by_wheels += wrap_pi(after.odometry.yaw_rad - before.odometry.yaw_rad);
             if let (Some(a), Some(b)) = (before.observed, after.observed) {
                 turned += wrap_pi(b.yaw_rad - a.yaw_rad);
             }
         }
-        let (first, last) = (self.samples.front()?, self.samples.back()?);
+        let (first, last) = (&self.samples.front()?.motion, &self.samples.back()?.motion);
         let by_wheels_m = last.odometry.distance_m(&first.odometry.point());
         let observed_m = match (first.observed, last.observed) {
             (Some(a), Some(b)) => Some(b.distance_m(&a.point())),
             _ => None,
         };
-        let still = self.samples.iter().skip(1).all(|sample| sample.command.is_stop());
+        let still = self.samples.iter().skip(1).all(|sample| sample.motion.command.is_stop());
         if still {
             let coasted = first.arrival + Span::from_seconds(config.coast_s);
-            let rest = self.samples.iter().find(|sample| sample.arrival >= coasted)?;
+            let mut motions = self.samples.iter().map(|sample| &sample.motion);
+            let rest = motions.find(|motion| motion.arrival >= coasted)?;
             let moved_m = match (rest.observed, last.observed) {
                 (Some(a), Some(b)) => b.distance_m(&a.point()),
                 _ => last.odometry.distance_m(&rest.odometry.point()),
@@ -271,6 +318,27 @@ mod tests {
                 20..25 => (DriveCommand::STOP, 0.5),
                 _ => (DriveCommand::STOP, 0.0),
             };
+            odometry = odometry.driven(0.2 * speed_mps, 0.0);
+            let trouble = detector.note(Motion {
+                arrival: Arrival::from_seconds(0.2 * f64::from(step)),
+                command,
+                odometry,
+                observed: None,
+                roll_rad: 0.0,
+                pitch_rad: 0.0,
+            });
+            assert_eq!(trouble, None, "step {step}");
+        }
+    }
+
+    #[test]
+    fn a_robot_that_has_just_been_told_to_start_is_not_stuck() {
+        // It stood; the command reaches the wheels after half a second, and they gain speed slowly.
+        let mut detector = StuckDetector::new(StuckConfig::default());
+        let mut odometry = Pose2::default();
+        for step in 0..40 {
+            let command = if step < 20 { DriveCommand::STOP } else { AHEAD };
+            let speed_mps = 0.3 * (f64::from(step - 22) / 5.0).clamp(0.0, 1.0);
             odometry = odometry.driven(0.2 * speed_mps, 0.0);
             let trouble = detector.note(Motion {
                 arrival: Arrival::from_seconds(0.2 * f64::from(step)),
