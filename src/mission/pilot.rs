@@ -1,11 +1,15 @@
 //! Moving the robot: the path follower under the watch of the guard line, and the way out of
 //! trouble. Every speed that leaves here has passed both.
 
+mod operated;
+
+pub use operated::Hold;
+
 use super::config::AgentConfig;
 use crate::acquisition::{GuardTilt, ParkState, guard_tilt};
 use crate::navigation::{
-    Blocked, DriveCommand, FollowStatus, Follower, Guard, GuardVerdict, Motion, Path, Pose2,
-    Recovery, RecoveryStep, StuckDetector, Trail, Trouble,
+    Blocked, DriveCommand, FollowStatus, Follower, Footprint, Guard, GuardVerdict, Motion, Path,
+    Pose2, Recovery, RecoveryStep, StuckDetector, Trail, Trouble,
 };
 use crate::robot::Rig;
 use crate::scan::LaserLine;
@@ -33,61 +37,12 @@ pub enum Progress {
     Surprised(GuardVerdict),
 }
 
-/// Why an operator's robot does not drive ahead.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Hold {
-    /// The map holds something in the way.
-    Barrier {
-        /// What it is.
-        class: CellClass,
-        /// Metres ahead of the robot's centre.
-        ahead_m: f64,
-    },
-    /// The guard line sees something.
-    Guard(GuardVerdict),
-    /// The head is still on its way to where it sees the ground ahead.
-    HeadMoves,
-    /// The head looks at the ground ahead and no line has come from it lately.
-    NoLine,
-}
-
-impl Hold {
-    /// Whether it is the same trouble as another, wherever exactly.
-    pub fn is_like(&self, other: &Self) -> bool {
-        match (self, other) {
-            (Self::Guard(a), Self::Guard(b)) => {
-                std::mem::discriminant(a) == std::mem::discriminant(b)
-            }
-            (a, b) => std::mem::discriminant(a) == std::mem::discriminant(b),
-        }
-    }
-}
-
-impl std::fmt::Display for Hold {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Barrier { class, ahead_m } => write!(
-                f,
-                "{} {ahead_m:.2} m ahead in the map",
-                match class {
-                    CellClass::DropOff => "a drop-off",
-                    CellClass::Suspect => "a suspected edge",
-                    CellClass::TooSteep => "ground too steep",
-                    _ => "an obstacle",
-                }
-            ),
-            Self::Guard(verdict) => write!(f, "the guard line sees {verdict}"),
-            Self::HeadMoves => f.write_str("the head is still turning to the ground ahead"),
-            Self::NoLine => f.write_str("no laser line shows the ground ahead"),
-        }
-    }
-}
-
 /// Drives paths.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Pilot {
     shape: RobotShape,
     follower: Follower,
+    footprint: Footprint,
     guard: Guard,
     guard_tilt: Option<GuardTilt>,
     watch: Watch,
@@ -125,6 +80,7 @@ impl Pilot {
             follow.full_mps = follow.full_mps.min(tilt.max_speed_mps);
         }
         Self {
+            footprint: Footprint::new(shape, edge_margin_m),
             guard: Guard::new(config.guard.clone(), shape),
             guard_tilt,
             watch: Watch::default(),
@@ -274,52 +230,6 @@ impl Pilot {
             FollowStatus::Reached => (DriveCommand::STOP, Progress::Reached),
             FollowStatus::Blocked(reason) => (DriveCommand::STOP, Progress::Blocked(reason)),
         }
-    }
-
-    /// What is left of an operator's command after the guard line and the grid, and what held it back:
-    /// known obstacles and edges stop it, unknown ground does not, for the operator sees what the grid
-    /// does not hold.
-    pub fn filter(
-        &mut self,
-        wanted: DriveCommand,
-        pose: &Pose2,
-        grid: &Grid,
-        parked: ParkState,
-        now: Arrival,
-    ) -> (DriveCommand, Option<Hold>) {
-        self.trail.note(pose);
-        let config = self.follower.config();
-        let wanted = wanted.limited(config.full_mps, config.turn_rps);
-        if wanted.linear_mps <= 0.0 {
-            return (wanted.limited(self.slow_mps, config.turn_rps), None);
-        }
-        let brake_m = 0.5 * self.shape.length_m
-            + config.stop_margin_m
-            + crate::navigation::speed::stopping_distance_m(
-                wanted.linear_mps,
-                config.latency_s,
-                config.deceleration_mps2,
-            );
-        let steps = (brake_m / grid.cell_m().max(0.01)).ceil() as u32;
-        let barrier = (1..=steps).find_map(|step| {
-            let ahead_m = brake_m * f64::from(step) / f64::from(steps);
-            let ahead = pose.driven(ahead_m, 0.0);
-            let class = grid.class_at(ahead.x_m, ahead.y_m);
-            is_barrier(class).then_some(Hold::Barrier { class, ahead_m })
-        });
-        let seen = self.watch.surprise.filter(|_| self.watch.surprises > 0).map(Hold::Guard);
-        let allowed_mps = match (barrier, self.surprise()) {
-            (None, None) => self.allowed_mps(parked, now),
-            _ => 0.0,
-        };
-        if wanted.linear_mps <= allowed_mps {
-            return (wanted, None);
-        }
-        let is_parked = matches!(parked, ParkState::Computed { .. } | ParkState::Verified { .. });
-        let waiting = if is_parked { Hold::NoLine } else { Hold::HeadMoves };
-        // Held at a creeping pace it goes on, and there is nothing to explain.
-        let hold = (allowed_mps == 0.0).then(|| barrier.or(seen).unwrap_or(waiting));
-        (DriveCommand { linear_mps: allowed_mps, ..wanted }, hold)
     }
 
     /// Compares what was commanded with what came of it.

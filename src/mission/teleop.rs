@@ -12,7 +12,11 @@ impl Running {
         match event {
             OperatorEvent::Drive { linear_mps, angular_rps } => {
                 if self.mode == Mode::Auto {
-                    desk.warn("drive command refused: the robot is in mode auto");
+                    // A key that is held down repeats twenty times a second.
+                    if !self.refusal_told {
+                        desk.warn("drive command refused: the robot is in mode auto");
+                        self.refusal_told = true;
+                    }
                     return;
                 }
                 self.lease.renew(*linear_mps, *angular_rps, desk.now);
@@ -28,6 +32,7 @@ impl Running {
             OperatorEvent::SetMode(mode) => {
                 desk.info(format!("mode {mode:?} by the operator"));
                 self.mode = *mode;
+                self.refusal_told = false;
                 self.lease.release();
                 self.stop(desk);
                 if *mode == Mode::Teleop {
@@ -95,12 +100,12 @@ impl Running {
         self.parked(desk.now)
     }
 
-    /// Tells the operator once why the robot does not drive ahead.
+    /// Tells the operator once why the robot does not move as told.
     fn tell_hold(&mut self, hold: Option<Hold>, desk: &mut Desk<'_>) {
         if let Some(hold) = &hold
             && !self.held.as_ref().is_some_and(|told| told.is_like(hold))
         {
-            desk.warn(format!("not driving ahead: {hold}"));
+            desk.warn(format!("not moving: {hold}"));
         }
         self.held = hold;
     }

@@ -96,6 +96,17 @@ impl Footprint {
         pose: &Pose2,
         standing: Option<&Pose2>,
     ) -> Option<Conflict> {
+        self.conflict_among(grid, pose, standing, |_| true)
+    }
+
+    /// The same among the classes of cells that `counts` names.
+    pub fn conflict_among(
+        &self,
+        grid: &Grid,
+        pose: &Pose2,
+        standing: Option<&Pose2>,
+        counts: impl Fn(CellClass) -> bool,
+    ) -> Option<Conflict> {
         // The room already holds every margin: with the whole circle inside it nothing can touch.
         let roomy = grid.room_at(pose.x_m, pose.y_m) >= self.circumscribed_m;
         let reach_m = self.circumscribed_m + if roomy { 0.0 } else { self.edge_margin_m };
@@ -111,6 +122,9 @@ impl Footprint {
                 let cell = CellIndex { x, y };
                 let here = grid.get(cell);
                 let class = here.class;
+                if !counts(class) {
+                    continue;
+                }
                 // Ground that is not sure may lie beside the hull, not under it.
                 let margin_m = match class {
                     _ if class.is_drivable() && here.sure => continue,
