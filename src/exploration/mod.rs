@@ -165,14 +165,16 @@ impl Explorer {
     /// `grid` holds what it showed. What is still unknown where the sweep looked is worth less from
     /// now on: glass, black floors and cracks would otherwise draw the robot back for ever.
     ///
+    /// `range_share` is the share of the range within which it should have shown all there is.
+    ///
     /// Also acknowledges the current goal where the sweep was taken close to it.
-    pub fn swept(&mut self, grid: &Grid, pose: &Pose2, field_of_view_rad: f64) {
+    pub fn swept(&mut self, grid: &Grid, pose: &Pose2, field_of_view_rad: f64, range_share: f64) {
         let looked = ViewMap::new(grid, &self.looks).looked_at(
             pose,
             field_of_view_rad,
             self.config.blind_m,
             self.config.close_range_m,
-            0.8 * self.config.view_range_m,
+            range_share * self.config.view_range_m,
         );
         self.looks.note(&looked);
         let close = |goal: &Choice| goal.goal.distance_m(&pose.point()) <= 0.5;

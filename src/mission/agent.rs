@@ -36,7 +36,6 @@ pub struct Agent {
     last_line: Option<Arrival>,
     silent: bool,
     level: Option<String>,
-    warnings: Vec<String>,
     operator_acts: usize,
     /// Time in which it was not the robot that decided.
     operated: Span,
@@ -77,7 +76,6 @@ impl Agent {
             last_line: None,
             silent: false,
             level: None,
-            warnings: Vec::new(),
             operator_acts: 0,
             operated: Span::ZERO,
             clock: Arrival::default(),
@@ -160,9 +158,9 @@ impl Agent {
         self.level.as_deref()
     }
 
-    /// What had to be supposed about the rig, and what of the ground it cannot see.
+    /// What did not go as told, each different warning once.
     pub fn warnings(&self) -> &[String] {
-        &self.warnings
+        self.journal.warnings()
     }
 
     /// How the mission ended, if it has.
@@ -405,8 +403,7 @@ impl Agent {
     }
 
     fn warn(&mut self, now: Arrival, text: String) {
-        self.journal.note(now, Level::Warn, text.clone());
-        self.warnings.push(text);
+        self.journal.note(now, Level::Warn, text);
     }
 
     fn operator(

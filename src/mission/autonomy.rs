@@ -186,10 +186,11 @@ impl Running {
             let choice = match decision {
                 Decision::Go(choice) => choice,
                 Decision::NothingLeft { frontiers_left, retry_at } => {
-                    self.frontiers_left = frontiers_left;
+                    self.frontiers_left = Some(frontiers_left);
                     return self.nothing_left(retry_at, desk);
                 }
             };
+            self.frontiers_left = None;
             // Kept on its own disc: there may be ground ahead that only the blind gap cuts off.
             let stays = choice.way_m < STAYS_M;
             if stays && self.bridge_blind_ring(desk) {
@@ -247,7 +248,8 @@ impl Running {
             self.activity = Activity::Rest { until: desk.now + CUT_OFF };
             return Verdict::GoOn;
         }
-        desk.info(format!("nothing left to explore, {} frontiers stay", self.frontiers_left.len()));
+        let left = self.frontiers_left.as_ref().map_or(0, Vec::len);
+        desk.info(format!("nothing left to explore, {left} frontiers stay"));
         Verdict::Explored
     }
 
@@ -450,7 +452,7 @@ impl Running {
                 self.stop(desk);
                 self.refresh_grid(desk.now);
                 let pose = self.pose2();
-                self.explorer.swept(&self.grid, &pose, std::f64::consts::PI);
+                self.explorer.swept(&self.grid, &pose, std::f64::consts::PI, 1.0);
                 self.activity = Activity::Rest { until: desk.now + REST };
             }
         }

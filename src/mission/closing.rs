@@ -56,6 +56,6 @@ impl Running {
     fn is_vague(&self) -> bool {
         let covariance = self.belief.mapper().covariance();
         let sigma = |axis: usize| covariance[(axis, axis)].sqrt();
-        sigma(0).hypot(sigma(1)) > VAGUE_M || sigma(5) > VAGUE_RAD
+        sigma(0).hypot(sigma(1)).hypot(sigma(2)) > VAGUE_M || sigma(5) > VAGUE_RAD
     }
 }

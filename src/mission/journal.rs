@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 
 /// Notes kept in memory; older ones were handed out long before.
 const KEPT: usize = 4096;
+/// Different warnings that are kept for the report.
+const KEPT_WARNINGS: usize = 100;
 
 /// Who a note is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -34,6 +36,8 @@ pub struct Note {
 pub struct Journal {
     notes: Vec<Note>,
     dropped: usize,
+    /// Each different warning once, the first of them.
+    warnings: Vec<String>,
 }
 
 impl Journal {
@@ -43,7 +47,19 @@ impl Journal {
             self.notes.drain(..KEPT / 2);
             self.dropped += KEPT / 2;
         }
-        self.notes.push(Note { arrival, level, text: text.into() });
+        let text = text.into();
+        let is_news = level >= Level::Warn
+            && self.warnings.len() < KEPT_WARNINGS
+            && !self.warnings.contains(&text);
+        if is_news {
+            self.warnings.push(text.clone());
+        }
+        self.notes.push(Note { arrival, level, text });
+    }
+
+    /// Each different warning and error once, in the order of their first time; a hundred at most.
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
     }
 
     /// Number of notes ever taken.

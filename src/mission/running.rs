@@ -10,7 +10,7 @@ use super::operator::{DriveLease, Mode};
 use super::pilot::{Hold, Pilot};
 use super::sign_test::SignTest;
 use crate::acquisition::{Acquisition, HeadEvent, Profile, SweepRequest};
-use crate::exploration::{Explorer, FrontierLeft};
+use crate::exploration::{Explorer, Frontier, FrontierLeft};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
 use crate::protocol::Command;
 use crate::robot::{BodySpeed, Rig, WheelCount};
@@ -115,10 +115,13 @@ pub struct Running {
     pub(super) lease: DriveLease,
     /// What the operator was last told of what holds the robot.
     pub(super) held: Option<Hold>,
+    /// Whether the operator was told that the mode takes no drive commands.
+    pub(super) refusal_told: bool,
     pub(super) ledger: Ledger,
     pub(super) candidates: Candidates,
     pub(super) victim_config: VictimConfig,
-    pub(super) frontiers_left: Vec<FrontierLeft>,
+    /// What was left when nothing was worth going to, as long as that is so.
+    pub(super) frontiers_left: Option<Vec<FrontierLeft>>,
     /// Cells that the hull did not get past, and until when they are avoided.
     pub(super) shunned: Vec<(CellIndex, Arrival)>,
     /// Where a gap that could not be seen was assumed.
@@ -183,10 +186,11 @@ impl Running {
             mode: config.mission.mode,
             lease: DriveLease::default(),
             held: None,
+            refusal_told: false,
             ledger: Ledger::default(),
             candidates: Candidates::default(),
             victim_config: config.victims,
-            frontiers_left: Vec::new(),
+            frontiers_left: None,
             shunned: Vec::new(),
             bridged: Vec::new(),
             resorts: 0,
@@ -272,9 +276,18 @@ impl Running {
         &self.ledger
     }
 
-    /// Frontiers that stayed when nothing was left to explore.
-    pub fn frontiers_left(&self) -> &[FrontierLeft] {
-        &self.frontiers_left
+    /// Frontiers that are left, each with the reason.
+    pub fn frontiers_left(&self) -> Vec<FrontierLeft> {
+        self.frontiers_left.clone().unwrap_or_else(|| {
+            let found = self.explorer.frontiers(&self.grid).into_iter();
+            let unseen = |frontier: Frontier| FrontierLeft {
+                x: frontier.at.x,
+                y: frontier.at.y,
+                cells: frontier.cells,
+                reason: "not looked at before the mission ended".into(),
+            };
+            found.map(unseen).collect()
+        })
     }
 
     /// The robot as the terrain sees it.
@@ -431,7 +444,10 @@ pub(super) fn explorer(
     acquisition: Option<&Acquisition>,
 ) -> Explorer {
     let mut explore = config.explore.clone();
-    if let Some(sight) = rig.visibility() {
+    if rig.is_planar() {
+        // A level line has no blind ring about the robot, and no sweep takes time.
+        (explore.blind_m, explore.scan_s) = (0.0, 0.0);
+    } else if let Some(sight) = rig.visibility() {
         explore.blind_m = sight.nearest_from_centre_m.unwrap_or(explore.blind_m);
     }
     if let (Some(acquisition), Some(view)) = (acquisition, rig.ground_view()) {

@@ -61,15 +61,20 @@ impl Running {
         for (sum, count) in self.ledger.surfaces.iter_mut().zip(counts) {
             *sum += count;
         }
-        self.ledger.associations += findings.update.associations.len();
+        self.ledger.associations +=
+            findings.update.associations.len() + findings.update.curves_known;
         let moved = (before.inverse() * after).translation.vector;
         let turned = before.rotation.angle_to(&after.rotation).to_degrees();
         desk.info(format!(
-            "{profile} sweep: {filed} rows in {seconds:.1} s ({budget}), {} planes ({} known, {} new), pose \
-             corrected by {:.3} m ({:.2} ahead, {:.2} left, {:.2} up) and {turned:.2}°",
+            "{profile} sweep: {filed} rows in {seconds:.1} s ({budget}), {} planes ({} known, {} new), \
+             {} curved ({} known, {} new), pose corrected by {:.3} m ({:.2} ahead, {:.2} left, {:.2} up) \
+             and {turned:.2}°",
             findings.planes,
             findings.update.associations.len(),
             findings.update.added.len(),
+            findings.spheres + findings.cylinders,
+            findings.update.curves_known,
+            findings.update.curves_new,
             moved.norm(),
             moved.x,
             moved.y,
@@ -87,7 +92,8 @@ impl Running {
         }
         self.refresh_grid(desk.now);
         let pose = self.pose2();
-        self.explorer.swept(&self.grid, &pose, std::f64::consts::PI);
+        // The far rows of a sweep lie too far apart to show everything.
+        self.explorer.swept(&self.grid, &pose, std::f64::consts::PI, 0.8);
         self.next_look_or_choose(desk);
     }
 

@@ -107,7 +107,7 @@ impl Robot {
         self.sweeps += 1;
         self.seconds += 0.5 * (self.pans.len() * self.tilts.len()) as f64;
         let field = self.explorer.config().field_of_view_rad;
-        self.explorer.swept(&self.grid, &self.pose, field);
+        self.explorer.swept(&self.grid, &self.pose, field, 0.8);
     }
 
     pub fn start(&mut self, assumed: f64) {
