@@ -58,7 +58,7 @@ pub struct InertialNoise {
 
 impl Default for InertialNoise {
     fn default() -> Self {
-        Self { fixed_rad: 0.006, step_share: 0.06, height_per_m: 0.025, attitude_per_m: 0.004 }
+        Self { fixed_rad: 0.006, step_share: 0.06, height_per_m: 0.015, attitude_per_m: 0.004 }
     }
 }
 
@@ -76,8 +76,8 @@ impl Default for OdometryNoise {
         Self {
             fixed_m: 0.01,
             fixed_rad: 0.005,
-            position_per_m: 0.08,
-            position_per_rad: 0.08,
+            position_per_m: 0.05,
+            position_per_rad: 0.05,
             heading_per_m: 0.05,
             heading_per_rad: 0.12,
             height_per_m: 0.08,
