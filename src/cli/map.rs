@@ -4,14 +4,14 @@ mod grid;
 
 use super::files::{Format, median, read_scan, write_stdout};
 use super::say;
-use crate::export::landmarks::{landmark_json, landmark_polygon, rows};
+use crate::export::landmarks::{rows, surface_polygons, surfaces_json};
 use crate::export::ply;
 use crate::export::run_folder::trinary_map;
 use crate::export::tum::{self, TimedPose};
 use crate::files::replace::replace_file;
 use crate::mapping::{
     Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations, TurnSource,
-    UpdateReport, observations,
+    UpdateReport, curved_observations, observations,
 };
 use crate::scan::RangeImage;
 use crate::segmentation::{SegmentationConfig, Segmenter};
@@ -121,6 +121,7 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
         let clock = Stopwatch::start();
         let scan = ScanObservations {
             observations: observations(segmentation, &grid, &Isometry3::identity()),
+            curves: curved_observations(segmentation, &Isometry3::identity()),
             robot_from_scan: Isometry3::identity(),
             errors: ScanErrors::default(),
             contacts: Vec::new(),
@@ -243,8 +244,8 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
             json!({
                 "time_s": step.time_s,
                 "planes": step.planes,
-                "associations": report.associations.len(),
-                "added": report.added.len(),
+                "associations": report.associations.len() + report.curves_known,
+                "added": report.added.len() + report.curves_new,
                 "refused": report.refused.len(),
                 "nis": report.nis,
                 "nis_degrees": report.nis_degrees,
@@ -257,7 +258,7 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
         .collect();
     json!({
         "scans": scans,
-        "landmarks": mapper.landmarks().len(),
+        "landmarks": mapper.surface_count(),
         "associations": steps.iter().map(|step| step.report.associations.len()).sum::<usize>(),
         "segment_ms": median(&steps.iter().map(|step| step.segment_ms).collect::<Vec<_>>()),
         "map_ms": median(&steps.iter().map(|step| step.map_ms).collect::<Vec<_>>()),
@@ -308,10 +309,8 @@ fn write_outputs(
     if let Some(truth) = truth {
         write("truth.tum", tum::format(truth).as_bytes())?;
     }
-    let polygons: Vec<ply::Polygon> = mapper.landmarks().iter().map(landmark_polygon).collect();
-    write("planes.ply", ply::format(&polygons).as_bytes())?;
-    let surfaces: Vec<Value> = mapper.landmarks().iter().map(landmark_json).collect();
-    let surfaces = json!({ "surfaces": surfaces });
+    write("planes.ply", ply::format(&surface_polygons(mapper)).as_bytes())?;
+    let surfaces = json!({ "surfaces": surfaces_json(mapper) });
     write("surfaces.json", serde_json::to_string_pretty(&surfaces)?.as_bytes())?;
     write("report.json", serde_json::to_string_pretty(document)?.as_bytes())
 }
@@ -350,7 +349,7 @@ fn summary(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> String {
         }
         text.push('\n');
     }
-    let _ = writeln!(text, "{} landmarks", mapper.landmarks().len());
+    let _ = writeln!(text, "{} landmarks", mapper.surface_count());
     if let Some(score) = score {
         let nees = score.nees.iter().sum::<f64>() / score.nees.len().max(1) as f64;
         let _ = writeln!(

@@ -200,7 +200,7 @@ fn status_line<W: std::io::Write>(mission: &SimulatedMission<W>, limit_s: f64) {
         p.x,
         p.y,
         running.belief().path_m(),
-        running.belief().mapper().landmarks().len(),
+        running.belief().mapper().surface_count(),
     ));
     let _ = std::io::stderr().flush();
 }

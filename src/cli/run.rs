@@ -279,7 +279,7 @@ impl Screen {
             p.y,
             pose.rotation.euler_angles().2.to_degrees(),
             running.belief().path_m(),
-            running.belief().mapper().landmarks().len(),
+            running.belief().mapper().surface_count(),
         ));
         let _ = std::io::stderr().flush();
     }

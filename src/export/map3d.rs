@@ -1,9 +1,10 @@
 //! `map3d.png`: the map in three dimensions for people.
 
 use super::canvas::{Canvas, Colour};
+use super::landmarks::curve_sides;
 use super::map_scene::{add_landmark, add_path, add_robot, surface_colour};
 use super::scene3d::{Camera, FIELD_OF_VIEW_RAD, Scene};
-use crate::mapping::Landmark;
+use crate::mapping::{CurvedLandmark, Landmark};
 use crate::terrain::{CellClass, CellIndex, Grid};
 use nalgebra::{Isometry3, Point3, Vector3};
 use std::f64::consts::FRAC_PI_2;
@@ -32,11 +33,12 @@ const EDGE: Colour = Colour::rgb(230, 0, 30);
 const PATH: Colour = Colour::rgb(0, 90, 220);
 const ROBOT: Colour = Colour::rgb(230, 160, 0);
 
-/// Draws patches, drop-offs and the path from above at a slant. Ceilings are left out, and so are
+/// Draws patches, curved bodies, drop-offs and the path from above at a slant. Ceilings are left out, and so are
 /// walls seen from behind: the picture looks into the rooms. A map without patches, as that of a laser
 /// that does not tilt, shows the grid's obstacles as columns up to the robot's height.
 pub fn draw(
     landmarks: &[Landmark],
+    curves: &[CurvedLandmark],
     grid: &Grid,
     trajectory: &[Isometry3<f64>],
     robot_size_m: &Vector3<f64>,
@@ -45,6 +47,9 @@ pub fn draw(
     let mut whole = Scene::new();
     for landmark in landmarks.iter().filter(is_shown) {
         add_landmark(&mut whole, landmark, Colour::BLACK);
+    }
+    for (side, _) in curves.iter().flat_map(curve_sides) {
+        whole.polygon(&side, Colour::BLACK);
     }
     add_path(&mut whole, trajectory, 1.0, Colour::BLACK);
     let robot = trajectory.last().copied().unwrap_or_default();
@@ -63,6 +68,12 @@ pub fn draw(
         let normal = landmark.normal();
         if normal.dot(&(camera.eye - landmark.origin())) > 0.0 {
             add_landmark(&mut scene, landmark, surface_colour(&normal, landmark.origin().z));
+        }
+    }
+    for (side, normal) in curves.iter().flat_map(curve_sides) {
+        let middle = nalgebra::center(&side[0], &side[2]);
+        if normal.dot(&(camera.eye - middle)) > 0.0 {
+            scene.polygon(&side, surface_colour(&normal, middle.z));
         }
     }
     if landmarks.is_empty() {
@@ -228,7 +239,7 @@ mod tests {
             .collect();
         let grid = Grid::from_cells(0.05, CellIndex { x: -half, y: -half }, 120, cells);
         let path = [Isometry3::identity(), Isometry3::translation(0.12, 0.0, 0.0)];
-        let picture = draw(&[], &grid, &path, &Vector3::new(0.5, 0.5, 0.6));
+        let picture = draw(&[], &[], &grid, &path, &Vector3::new(0.5, 0.5, 0.6));
         let (robot, walls) = (
             share(&picture, is_orange),
             share(&picture, |c| c.blue > c.green && c.blue > c.red && c.blue < 230),
@@ -258,7 +269,7 @@ mod tests {
     #[test]
     fn nothing_at_all_is_still_a_picture() {
         let grid = Grid::from_cells(0.05, CellIndex { x: 0, y: 0 }, 1, vec![GridCell::default()]);
-        let picture = draw(&[], &grid, &[], &Vector3::new(0.5, 0.5, 0.6));
+        let picture = draw(&[], &[], &grid, &[], &Vector3::new(0.5, 0.5, 0.6));
         assert!(picture.height() > 50);
     }
 }

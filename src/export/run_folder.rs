@@ -1,7 +1,7 @@
 //! The run folder: everything that a mission leaves behind.
 
 use super::coverage::Evidence;
-use super::landmarks::{landmark_json, landmark_polygon};
+use super::landmarks::{surface_polygons, surfaces_json};
 use super::map_picture::{self, Overlay};
 use super::map_server::{Cell, TrinaryMap};
 use super::report::{
@@ -71,15 +71,15 @@ pub fn agent_report(agent: &Agent, scenario: &str, seed: u64) -> Report {
     report.nods = NodTotals::of(&report.sweeps);
     let [planes, spheres, cylinders] = ledger.surfaces;
     report.surfaces = SurfaceCounts { planes, spheres, cylinders };
-    report.landmarks = running.belief().mapper().landmarks().len();
+    report.landmarks = running.belief().mapper().surface_count();
     report.associations = ledger.associations;
     report.stuck = ledger.troubles;
     report.distance_m = running.belief().path_m();
     report.victims = VictimCounts::default();
     report.frontiers_left = running
         .frontiers_left()
-        .iter()
-        .map(|left| FrontierLeft { x: left.x, y: left.y, reason: left.reason.clone() })
+        .into_iter()
+        .map(|left| FrontierLeft { x: left.x, y: left.y, reason: left.reason })
         .collect();
     report
 }
@@ -98,13 +98,11 @@ pub fn map_files(agent: &Agent, title: &str) -> Files {
     let places = Places::default().renewed(&grid);
     let places_json = serde_json::to_vec_pretty(&places).expect("numbers are always JSON");
     let overlay = Overlay { places, ..overlay(running, title, &path) };
-    let landmarks = belief.mapper().landmarks();
-    let polygons: Vec<ply::Polygon> = landmarks.iter().map(landmark_polygon).collect();
-    let surfaces: Vec<_> = landmarks.iter().map(landmark_json).collect();
+    let mapper = belief.mapper();
     // The surfaces are those of the map; the size is that of the newest scan that went into it.
     let (rows, columns) =
         belief.last_sweep().map_or((0, 0), |(_, sweep)| (sweep.rows().len(), sweep.columns()));
-    let document = json!({ "rows": rows, "columns": columns, "surfaces": surfaces });
+    let document = json!({ "rows": rows, "columns": columns, "surfaces": surfaces_json(mapper) });
     let surfaces =
         serde_json::to_vec_pretty(&document).expect("numbers and strings are always JSON");
     let shape = running.shape();
@@ -115,11 +113,14 @@ pub fn map_files(agent: &Agent, title: &str) -> Files {
         ("map.pgm", trinary.pgm()),
         ("map.yaml", trinary.yaml("map.pgm").into_bytes()),
         ("ground.png", ground_png(&grid, belief)),
-        ("planes.ply", ply::format(&polygons).into_bytes()),
+        ("planes.ply", ply::format(&surface_polygons(mapper)).into_bytes()),
         ("surfaces.json", surfaces),
         ("places.json", places_json),
         ("map.png", map_picture::draw(&grid, &overlay).to_png()),
-        ("map3d.png", map3d::draw(landmarks, &grid, &path, &size).to_png()),
+        (
+            "map3d.png",
+            map3d::draw(mapper.landmarks(), mapper.curves(), &grid, &path, &size).to_png(),
+        ),
     ]
 }
 

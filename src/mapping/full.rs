@@ -2,6 +2,7 @@
 //! the data allow several.
 
 use super::association::{Assignment, AssociationConfig};
+use super::curved::CurvedLandmark;
 use super::estimate::{Arrival, Attitude, Estimate, Prepared};
 use super::graph::GraphConfig;
 use super::landmark::{Landmark, LandmarkId};
@@ -76,6 +77,8 @@ pub struct Full {
     hypotheses: Vec<Hypothesis>,
     /// Poses of the keyframes as they were told to the outside, by whatever explanation led then.
     told: Vec<Isometry3<f64>>,
+    /// The number of the next landmark, whatever explanation it will belong to.
+    next_landmark: u32,
 }
 
 /// One way to go on from a hypothesis.
@@ -95,7 +98,7 @@ impl Full {
     ) -> Self {
         let estimate = Estimate::new(config.graph, world_from_robot, covariance);
         let first = Hypothesis { estimate, log_weight: 0.0, behind: 0 };
-        Self { config, hypotheses: vec![first], told: Vec::new() }
+        Self { config, hypotheses: vec![first], told: Vec::new(), next_landmark: 0 }
     }
 
     /// Takes in a scan made after `motion`, whose covariance is a perturbation in the frame at its
@@ -211,12 +214,14 @@ impl Full {
             let parent = &mut parents[branch.parent];
             let from = if needed_again { parent.clone() } else { parent.take() };
             let mut from = from.expect("a parent is taken by its last branch");
+            from.estimate.number_from(self.next_landmark);
             let report = from.estimate.apply(
                 arrival,
                 &prepared[branch.prepared],
                 &branch.assignment,
                 config,
             );
+            self.next_landmark = from.estimate.next_landmark();
             let pose = from.estimate.last_pose();
             from.behind = if at == 0 { 0 } else { from.behind + 1 };
             from.log_weight = branch.log_weight - branches[0].log_weight;
@@ -283,6 +288,11 @@ impl Full {
     /// The landmarks, by identity.
     pub fn landmarks(&self) -> &[Landmark] {
         self.best().landmarks()
+    }
+
+    /// Cylinders and spheres.
+    pub fn curves(&self) -> &[CurvedLandmark] {
+        self.best().curves()
     }
 
     /// Covariance of a landmark now; the one in the landmark is that of when it was last seen.

@@ -83,8 +83,13 @@ impl Landmark {
     }
 
     /// Unites hull and mask with those of an observation: its vertices are projected onto the
-    /// landmark's plane and the hull of both is taken again, as the paper does.
-    pub fn extend(&mut self, observation: &Observation, world_from_robot: &Isometry3<f64>) {
+    /// landmark's plane and the hull of both is taken again, as the paper does. Returns where the
+    /// observation lies in the landmark's frame.
+    pub fn extend(
+        &mut self,
+        observation: &Observation,
+        world_from_robot: &Isometry3<f64>,
+    ) -> Isometry3<f64> {
         let plane_from_observed =
             self.world_from_plane.inverse() * world_from_robot * observation.robot_from_plane;
         self.unite(&observation.hull, &observation.mask, &plane_from_observed);
@@ -92,6 +97,7 @@ impl Landmark {
         let sum = squares(self.points, self.rms_m) + squares(observation.points, observation.rms_m);
         self.points += observation.points;
         self.rms_m = (sum / self.points.max(1) as f64).sqrt();
+        plane_from_observed
     }
 
     /// Unites hull and mask with those of another frame.

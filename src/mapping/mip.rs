@@ -158,21 +158,15 @@ impl Mip {
         }
         let added = self.add_unmatched(observations, &matched, keyframe);
         UpdateReport {
-            keyframe,
             world_from_robot: self.world_from_robot,
             covariance: self.covariance,
-            nis,
             nis_degrees: 3 * pairs.len(),
             associations: pairs.iter().map(|pair| self.association(pair)).collect(),
             added,
             refused,
             weak_directions: weak_directions(&information, &self.world_from_robot, 0.05),
-            moved: Vec::new(),
-            merged: Vec::new(),
-            loop_closed: false,
-            loop_undone: false,
-            hypotheses: 1,
             iterations,
+            ..UpdateReport::begun(keyframe, nis)
         }
     }
 

@@ -1,4 +1,4 @@
-//! Localisation and the map of planar landmarks.
+//! Localisation and the map: planar landmarks, and the axes and centres of curved bodies.
 //!
 //! [`Mapper`] is the door: odometry increments go in by [`predict`](Mapper::predict), the planes of
 //! a scan by [`observe`](Mapper::observe), and pose, covariance and map come out. The paper's filter
@@ -12,6 +12,7 @@
 mod association;
 mod attitude;
 mod belief;
+mod curved;
 mod estimate;
 pub mod full;
 pub mod graph;
@@ -29,6 +30,7 @@ mod scan_errors;
 mod sight;
 
 pub use association::AssociationConfig;
+pub use curved::{CurveKind, CurvedLandmark, CurvedObservation, curved_observations};
 pub use full::{Full, FullConfig};
 pub use graph::GraphConfig;
 pub use landmark::{Landmark, LandmarkId};
@@ -40,7 +42,7 @@ pub use report::{
     Addition, Association, LEVER_M, MovedKeyframe, Refusal, RefusalReason, UpdateReport,
     WeakDirection, weak_directions,
 };
-pub use scan_errors::{ScanErrors, ScanObservations, common_error_jacobian};
+pub use scan_errors::{ScanErrors, ScanObservations, common_error_jacobian, curve_error_jacobian};
 
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
@@ -207,6 +209,20 @@ impl Mapper {
             Engine::Mip { filter, .. } => filter.landmarks(),
             Engine::Full(full) => full.landmarks(),
         }
+    }
+
+    /// Cylinders and spheres of the map, in the order in which they were first seen; the paper's mode
+    /// has none.
+    pub fn curves(&self) -> &[CurvedLandmark] {
+        match &self.engine {
+            Engine::Mip { .. } => &[],
+            Engine::Full(full) => full.curves(),
+        }
+    }
+
+    /// Number of landmarks of all kinds.
+    pub fn surface_count(&self) -> usize {
+        self.landmarks().len() + self.curves().len()
     }
 
     /// Covariance of a landmark now (offset, tilts about y and x); the one in the landmark itself is

@@ -17,7 +17,13 @@ pub struct UpdateReport {
     pub added: Vec<Addition>,
     /// Observations that were used for nothing, and why.
     pub refused: Vec<Refusal>,
-    /// Normalised innovation squared of all accepted pairs together.
+    /// Cylinders and spheres that were recognised.
+    pub curves_known: usize,
+    /// Those that are new in the map.
+    pub curves_new: usize,
+    /// Those that were used for nothing: they fit several landmarks, or one almost.
+    pub curves_refused: usize,
+    /// Normalised innovation squared of all accepted pairs of planes together.
     pub nis: f64,
     /// Its degrees of freedom.
     pub nis_degrees: usize,
@@ -48,6 +54,9 @@ impl UpdateReport {
             associations: Vec::new(),
             added: Vec::new(),
             refused: Vec::new(),
+            curves_known: 0,
+            curves_new: 0,
+            curves_refused: 0,
             nis,
             nis_degrees: 0,
             weak_directions: Vec::new(),

@@ -1,5 +1,6 @@
+use super::curved::{CurveKind, CurvedObservation};
 use super::observation::Observation;
-use nalgebra::{Isometry3, Matrix3x4, Point3, Vector3, Vector4};
+use nalgebra::{Isometry3, Matrix3x4, Matrix4, Point3, Vector3, Vector4};
 use serde::{Deserialize, Serialize};
 
 /// Errors that all points of one scan share; they do not average out over a patch, so they are
@@ -35,11 +36,14 @@ impl ScanErrors {
     }
 }
 
-/// The planes of one scan and what is known about the scan as a whole.
+/// The surfaces of one scan and what is known about the scan as a whole.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScanObservations {
     /// The planes.
     pub observations: Vec<Observation>,
+    /// Cylinders and spheres.
+    #[serde(default)]
+    pub curves: Vec<CurvedObservation>,
     /// Pose of the scan frame (the sensor at zero tilt) in the robot frame; the tilt turns about its
     /// y axis.
     pub robot_from_scan: Isometry3<f64>,
@@ -82,6 +86,36 @@ pub fn common_error_jacobian(
         1 => -(right[error] - left[error]) / (2.0 * reach_x),
         _ => (top[error] - bottom[error]) / (2.0 * reach_y),
     })
+}
+
+/// How one unit of each common error moves an observed axis or centre: columns in the order of
+/// [`ScanErrors::sigmas`], rows the errors of the curve's frame, for a centre its first three. The
+/// curve is taken to go along with the displacements where it is.
+pub fn curve_error_jacobian(
+    seen: &CurvedObservation,
+    robot_from_scan: &Isometry3<f64>,
+) -> Matrix4<f64> {
+    let scan_from_curve = robot_from_scan.inverse() * seen.robot_from_curve;
+    let at = |z: f64| {
+        let p = (scan_from_curve * Point3::new(0.0, 0.0, z)).coords;
+        displacements(&p).map(|field| scan_from_curve.rotation.inverse() * field)
+    };
+    let middle = at(0.0);
+    match seen.kind {
+        CurveKind::Sphere => Matrix4::from_fn(|row, error| match row {
+            3 => 0.0,
+            _ => middle[error][row],
+        }),
+        CurveKind::Cylinder => {
+            // The standard deviation of a uniform piece is what a fit sees of its length.
+            let reach = (0.5 * seen.length_m / 3_f64.sqrt()).max(1e-3);
+            let (above, below) = (at(reach), at(-reach));
+            Matrix4::from_fn(|row, error| match row {
+                0 | 1 => 0.5 * (above[error][row] + below[error][row]),
+                _ => (above[error][row - 2] - below[error][row - 2]) / (2.0 * reach),
+            })
+        }
+    }
 }
 
 /// Displacement of a point of the scan frame per unit of each common error.

@@ -10,7 +10,8 @@ use super::leg::{BentLeg, Leg};
 use super::lines::PendingLine;
 use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
 use crate::mapping::{
-    Mapper, MapperConfig, ScanErrors, ScanObservations, UpdateReport, observations,
+    Mapper, MapperConfig, ScanErrors, ScanObservations, UpdateReport, curved_observations,
+    observations,
 };
 use crate::scan::{RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
@@ -311,6 +312,7 @@ impl Belief {
         let cylinders = count(|shape| matches!(shape, Shape::Cylinder(_)));
         let scan = ScanObservations {
             observations: observations(segmentation, &grid, &image.robot_from_scan),
+            curves: curved_observations(segmentation, &image.robot_from_scan),
             robot_from_scan: image.robot_from_scan,
             errors,
             contacts: self.live.shape().contacts(),

@@ -95,6 +95,7 @@ fn scan(room: usize, world_from_robot: &Isometry3<f64>, rng: &mut Pcg64) -> Scan
     let robot_from_scan = Isometry3::translation(0.0, 0.0, 0.6);
     ScanObservations {
         observations,
+        curves: Vec::new(),
         robot_from_scan,
         errors: ScanErrors::default(),
         contacts: Vec::new(),

@@ -155,6 +155,7 @@ impl World {
         (
             ScanObservations {
                 observations,
+                curves: Vec::new(),
                 robot_from_scan,
                 errors: ScanErrors::default(),
                 contacts: WHEELS.map(Point3::from).to_vec(),

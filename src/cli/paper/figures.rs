@@ -92,7 +92,7 @@ pub fn map_figures(loaded: LoadedScenario) -> Result<MapFigures> {
     }
     Ok(MapFigures {
         fig3: from_above(landmarks, &path),
-        fig6: map3d::draw(landmarks, &belief.grid(), &path, &size),
+        fig6: map3d::draw(landmarks, belief.mapper().curves(), &belief.grid(), &path, &size),
         compactness,
     })
 }

@@ -1,5 +1,6 @@
 //! Taking a scan in: new variables and measurements, the solution, and the test after it.
 
+use super::curves::gate;
 use super::{Arrival, Attitude, Estimate, Keyframe, Prepared, Roots, Sighting};
 use crate::mapping::association::{Assignment, AssociationConfig, Verdict};
 use crate::mapping::graph::{Factor, FactorId, Value};
@@ -41,7 +42,8 @@ impl Estimate {
             match *verdict {
                 Verdict::Seen(plane, distance_squared) => {
                     let landmark = prepared.planes[plane];
-                    self.see(index, landmark, observation, common);
+                    let bilinear = prepared.belief.bilinear_variance(observation, plane);
+                    self.see(index, landmark, observation, common, bilinear);
                     let pair = Association { observation: index, landmark, distance_squared };
                     report.associations.push(pair);
                 }
@@ -58,7 +60,8 @@ impl Estimate {
         }
         report.nis_degrees = 3 * report.associations.len();
         self.solve(&mut report, config);
-        self.keep_up(&mut report, observations);
+        self.take_curves(arrival, &mut report, |estimate, report| estimate.solve(report, config));
+        self.keep_up(&mut report, arrival.scan);
         report
     }
 
@@ -99,17 +102,27 @@ impl Estimate {
             key
         });
         self.keyframe_of.insert(pose, self.keyframes.len());
-        self.keyframes.push(Keyframe { pose, errors, told: guess, sightings: Vec::new() });
+        self.keyframes.push(Keyframe {
+            pose,
+            errors,
+            told: guess,
+            sightings: Vec::new(),
+            curves: Vec::new(),
+        });
     }
 
-    /// Adds the measurement of a landmark from the newest keyframe.
+    /// Adds the measurement of a landmark from the newest keyframe; `bilinear` is what
+    /// [`Belief::bilinear_variance`](super::Belief::bilinear_variance) adds to its gap.
     fn see(
         &mut self,
         index: usize,
         landmark: LandmarkId,
         observation: &Observation,
         common: Option<Matrix3x4<f64>>,
+        bilinear: f64,
     ) {
+        let mut covariance = observation.covariance;
+        covariance[(0, 0)] += bilinear;
         let number = self.keyframes.len() - 1;
         let keyframe = &mut self.keyframes[number];
         let roots = self.roots.get_mut(&landmark).expect("a landmark has roots");
@@ -118,7 +131,7 @@ impl Estimate {
             plane: roots.key,
             errors: keyframe.errors.zip(common),
             robot_from_plane: observation.robot_from_plane,
-            covariance: observation.covariance,
+            covariance,
         });
         roots.sightings.push((number, index));
         keyframe.sightings.push(Sighting {
@@ -126,6 +139,7 @@ impl Estimate {
             landmark,
             factor,
             observation: observation.clone(),
+            drawn: None,
         });
     }
 
@@ -145,7 +159,7 @@ impl Estimate {
         self.landmark_of.insert(key, id);
         self.roots.insert(id, Roots { key, sightings: Vec::new() });
         self.landmarks.push(landmark);
-        self.see(index, id, observation, common);
+        self.see(index, id, observation, common, 0.0);
         id
     }
 
@@ -155,23 +169,44 @@ impl Estimate {
             let update = self.graph.update();
             report.iterations += update.rounds;
             self.follow(&update.changed, report);
-            let worst = report
-                .associations
-                .iter()
-                .filter_map(|pair| {
-                    let factor = self.newest_sighting(pair.observation)?.factor;
-                    Some((self.graph.residual(factor)?.norm_squared(), pair.observation, factor))
-                })
-                .max_by(|a, b| a.0.total_cmp(&b.0));
-            let Some((distance, observation, factor)) =
-                worst.filter(|worst| worst.0 > config.gate && round < MOST_DROPPED)
-            else {
+            let (planes, curves) = (self.worst_plane(report), self.worst_curve());
+            let excess =
+                |worst: Option<(f64, f64)>| worst.map_or(0.0, |(square, gate)| square / gate);
+            let plane_excess = excess(planes.map(|(square, ..)| (square, config.gate)));
+            let curve_excess = excess(curves.map(|(square, gate, _)| (square, gate)));
+            if plane_excess.max(curve_excess) <= 1.0 || round == MOST_DROPPED {
                 return;
-            };
-            self.drop_newest_sighting(observation, factor);
-            report.associations.retain(|pair| pair.observation != observation);
-            report.refuse(observation, RefusalReason::FailedRetest(distance));
+            }
+            if let Some((_, _, at)) = curves.filter(|_| curve_excess > plane_excess) {
+                let keyframe = self.keyframes.last_mut().expect("the scan's keyframe is there");
+                let dropped = keyframe.curves.remove(at);
+                self.graph.remove_factor(dropped.factor);
+                report.curves_refused += 1;
+            } else if let Some((distance, observation, factor)) = planes {
+                self.drop_newest_sighting(observation, factor);
+                report.associations.retain(|pair| pair.observation != observation);
+                report.refuse(observation, RefusalReason::FailedRetest(distance));
+            }
         }
+    }
+
+    /// The accepted plane that fits worst: squared distance, observation, factor.
+    fn worst_plane(&self, report: &UpdateReport) -> Option<(f64, usize, FactorId)> {
+        let pairs = report.associations.iter().filter_map(|pair| {
+            let factor = self.newest_sighting(pair.observation)?.factor;
+            Some((self.graph.residual(factor)?.norm_squared(), pair.observation, factor))
+        });
+        pairs.max_by(|a, b| a.0.total_cmp(&b.0))
+    }
+
+    /// The accepted curve that fits worst: squared distance, gate, place among the keyframe's.
+    fn worst_curve(&self) -> Option<(f64, f64, usize)> {
+        let sightings = &self.keyframes.last()?.curves;
+        let pairs = sightings.iter().enumerate().filter_map(|(at, sighting)| {
+            let square = self.graph.residual(sighting.factor)?.norm_squared();
+            Some((square, gate(self.curves[sighting.curve].kind), at))
+        });
+        pairs.max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)))
     }
 
     fn newest_sighting(&self, index: usize) -> Option<&Sighting> {

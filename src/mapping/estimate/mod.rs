@@ -4,12 +4,14 @@
 //! then taken in under one of the assignments found ([`apply`](Estimate::apply)).
 
 mod apply;
+mod curves;
 mod prepare;
 mod upkeep;
 
 use super::association::Assignment;
 use super::belief::Belief;
-use super::graph::{FactorId, Graph, GraphConfig, Key, positive};
+use super::curved::CurvedLandmark;
+use super::graph::{Factor, FactorId, Graph, GraphConfig, Key, positive};
 use super::index::{Bounds, SpatialIndex};
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
@@ -62,6 +64,8 @@ struct Sighting {
     landmark: LandmarkId,
     factor: FactorId,
     observation: Observation,
+    /// Where the patch lay in the landmark's frame when it was drawn into its extent; `None` before.
+    drawn: Option<Isometry3<f64>>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,6 +76,18 @@ struct Keyframe {
     /// Pose as it was last told to the outside.
     told: Isometry3<f64>,
     sightings: Vec<Sighting>,
+    /// Cylinders and spheres that its scan shows.
+    curves: Vec<CurveSighting>,
+}
+
+/// A cylinder or sphere of a scan that is in the map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct CurveSighting {
+    /// Index of the observation within its scan.
+    index: usize,
+    /// Place of the landmark in the list.
+    curve: usize,
+    factor: FactorId,
 }
 
 /// What the estimate keeps of a landmark beside the landmark itself.
@@ -92,6 +108,8 @@ pub(super) struct Estimate {
     roots: BTreeMap<LandmarkId, Roots>,
     landmark_of: BTreeMap<Key, LandmarkId>,
     keyframe_of: BTreeMap<Key, usize>,
+    curves: Vec<CurvedLandmark>,
+    curve_of: BTreeMap<Key, usize>,
     index: SpatialIndex,
     next_landmark: u32,
     start: Isometry3<f64>,
@@ -113,11 +131,24 @@ impl Estimate {
             roots: BTreeMap::new(),
             landmark_of: BTreeMap::new(),
             keyframe_of: BTreeMap::new(),
+            curves: Vec::new(),
+            curve_of: BTreeMap::new(),
             index: SpatialIndex::default(),
             next_landmark: 0,
             start: world_from_robot,
             start_covariance: positive(covariance, &floor),
         }
+    }
+
+    /// The number that the next landmark will get.
+    pub(super) fn next_landmark(&self) -> u32 {
+        self.next_landmark
+    }
+
+    /// Numbers new landmarks from `next` on: explanations of one session never give one number to two
+    /// landmarks.
+    pub(super) fn number_from(&mut self, next: u32) {
+        self.next_landmark = self.next_landmark.max(next);
     }
 
     /// Whether no scan was taken in yet.
@@ -128,6 +159,11 @@ impl Estimate {
     /// The landmarks, by identity.
     pub(super) fn landmarks(&self) -> &[Landmark] {
         &self.landmarks
+    }
+
+    /// Cylinders and spheres, in the order in which they were first seen.
+    pub(super) fn curves(&self) -> &[CurvedLandmark] {
+        &self.curves
     }
 
     pub(super) fn landmark(&self, id: LandmarkId) -> Option<&Landmark> {

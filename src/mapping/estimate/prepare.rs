@@ -10,7 +10,7 @@ use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::scan_errors::{ScanObservations, common_error_jacobian};
-use nalgebra::{DMatrix, Isometry3, Matrix3x4, Matrix6, Vector3};
+use nalgebra::{DMatrix, Isometry3, Matrix3x4, Matrix6, Vector3, Vector6};
 
 /// Most landmarks that one scan is compared with; those seen last come first.
 const MOST_CANDIDATES: usize = 120;
@@ -38,7 +38,8 @@ impl Prepared {
 
 impl Estimate {
     /// Predicts the pose, gathers the landmarks that the scan may show, and searches for jointly
-    /// compatible pairs. `widening` scales the standard deviations of the motion.
+    /// compatible pairs. `widening` scales the standard deviations of the motion
+    /// over the ground.
     pub(in crate::mapping) fn prepare(
         &self,
         arrival: &Arrival<'_>,
@@ -46,7 +47,10 @@ impl Estimate {
         widening: f64,
     ) -> Prepared {
         let scan = arrival.scan;
-        let motion_covariance = arrival.motion_covariance * (widening * widening);
+        // Stuck wheels and pushes move a robot over the ground; they do not lift it off.
+        let widened =
+            Matrix6::from_diagonal(&Vector6::new(widening, widening, 1.0, 1.0, 1.0, widening));
+        let motion_covariance = widened * arrival.motion_covariance * widened;
         let before = self.last_pose();
         let predicted = before * arrival.motion;
         let pose_covariance = predicted_covariance(

@@ -5,19 +5,21 @@ use crate::mapping::graph::Key;
 use crate::mapping::index::Bounds;
 use crate::mapping::innovation::Innovation;
 use crate::mapping::landmark::LandmarkId;
-use crate::mapping::observation::Observation;
 use crate::mapping::perturbation::pose_error;
 use crate::mapping::report::{MovedKeyframe, UpdateReport, weak_directions};
+use crate::mapping::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use std::collections::BTreeSet;
 
 /// A correction of an old pose that is worth telling: beyond it grid and trajectory are rebuilt.
 const MOVED_M: f64 = 0.02;
 const MOVED_RAD: f64 = 0.005;
+/// A patch that has slid this far within its landmark is drawn anew, less than half a mask's cell.
+const SLID_M: f64 = 0.02;
 /// What a scan must leave of a direction, in metres, for that to be reported as weak.
 const WEAK_M: f64 = 0.05;
 /// Scans after which seeing a landmark again counts as the closing of a loop.
-const LOOP_SCANS: usize = 12;
+pub(super) const LOOP_SCANS: usize = 12;
 
 impl Estimate {
     /// Carries the graph's solution over to landmarks, and notes which keyframes were corrected.
@@ -26,6 +28,9 @@ impl Estimate {
             if let Some(slot) = self.landmark_of.get(key).and_then(|id| self.slot(*id)) {
                 self.landmarks[slot].world_from_plane = self.graph.plane(*key);
                 self.refile(slot);
+            }
+            if let Some(&slot) = self.curve_of.get(key) {
+                self.curves[slot].follow(&self.graph.value(*key));
             }
             if let Some(&number) = self.keyframe_of.get(key) {
                 let pose = self.graph.pose(*key);
@@ -50,16 +55,16 @@ impl Estimate {
         report.moved.sort_by_key(|moved| moved.keyframe);
     }
 
-    /// Extends the landmarks that a scan saw, rebuilds those whose old sightings moved, and completes
+    /// Extends the landmarks that a scan saw, redraws those whose old sightings slid, and completes
     /// the report.
-    pub(super) fn keep_up(&mut self, report: &mut UpdateReport, observations: &[Observation]) {
+    pub(super) fn keep_up(&mut self, report: &mut UpdateReport, scan: &ScanObservations) {
         let number = report.keyframe;
         let pose = self.last_pose();
-        let mut rebuilt = BTreeSet::new();
-        for moved in &report.moved {
-            let seen = self.keyframes[moved.keyframe].sightings.iter().map(|s| s.landmark);
-            rebuilt.extend(seen);
+        let mut moved = BTreeSet::new();
+        for keyframe in &report.moved {
+            moved.extend(self.keyframes[keyframe.keyframe].sightings.iter().map(|s| s.landmark));
         }
+        let slid: Vec<LandmarkId> = moved.into_iter().filter(|&id| self.has_slid(id)).collect();
         for pair in &report.associations {
             let Some(slot) = self.slot(pair.landmark) else { continue };
             let landmark = &mut self.landmarks[slot];
@@ -68,13 +73,12 @@ impl Estimate {
                 landmark.sightings += 1;
                 landmark.last_keyframe = number;
             }
-            if !rebuilt.contains(&pair.landmark) {
-                landmark.extend(&observations[pair.observation], &pose);
-            }
         }
-        for id in rebuilt {
-            self.rebuild_extent(id);
+        for id in slid {
+            self.redraw_extent(id);
         }
+        self.draw_newest();
+        self.extend_curves(report, &scan.curves);
         let touched: Vec<LandmarkId> = report
             .associations
             .iter()
@@ -88,22 +92,60 @@ impl Estimate {
         report.weak_directions = weak_directions(&information, &pose, WEAK_M);
     }
 
+    /// Whether a patch of a landmark lies elsewhere within it by now than where it was drawn.
+    fn has_slid(&self, id: LandmarkId) -> bool {
+        let (Some(landmark), Some(roots)) = (self.landmark(id), self.roots.get(&id)) else {
+            return false;
+        };
+        let plane_from_world = landmark.world_from_plane.inverse();
+        roots.sightings.iter().any(|&(number, index)| {
+            let keyframe = &self.keyframes[number];
+            let sighting = keyframe.sightings.iter().find(|s| s.index == index);
+            sighting.and_then(|s| Some((s.drawn?, s))).is_some_and(|(drawn, s)| {
+                let now = plane_from_world
+                    * self.graph.pose(keyframe.pose)
+                    * s.observation.robot_from_plane;
+                let gap = pose_error(&drawn, &now);
+                gap.fixed_rows::<3>(0).norm() > SLID_M || gap[5].abs() > MOVED_RAD
+            })
+        })
+    }
+
     /// Hull and mask of a landmark anew from all its sightings: after a correction the patches lie
     /// elsewhere within the plane, which the plane itself does not show.
-    pub(super) fn rebuild_extent(&mut self, id: LandmarkId) {
+    fn redraw_extent(&mut self, id: LandmarkId) {
         let (Some(slot), Some(roots)) = (self.slot(id), self.roots.get(&id)) else { return };
         let landmark = &mut self.landmarks[slot];
         landmark.hull.clear();
         landmark.mask = crate::mapping::mask::PlaneMask::default();
         (landmark.points, landmark.rms_m) = (0, 0.0);
         for &(number, index) in &roots.sightings {
-            let keyframe = &self.keyframes[number];
+            let keyframe = &mut self.keyframes[number];
             let pose = self.graph.pose(keyframe.pose);
-            if let Some(sighting) = keyframe.sightings.iter().find(|s| s.index == index) {
-                landmark.extend(&sighting.observation, &pose);
+            if let Some(sighting) = keyframe.sightings.iter_mut().find(|s| s.index == index) {
+                sighting.drawn = Some(landmark.extend(&sighting.observation, &pose));
             }
         }
         self.refile(slot);
+    }
+
+    /// Draws the newest keyframe's patches into their landmarks.
+    fn draw_newest(&mut self) {
+        let number = self.keyframes.len().saturating_sub(1);
+        let Some(keyframe) = self.keyframes.last_mut() else { return };
+        let pose = self.graph.pose(keyframe.pose);
+        for sighting in keyframe.sightings.iter_mut().filter(|s| s.drawn.is_none()) {
+            let Ok(slot) = self.landmarks.binary_search_by_key(&sighting.landmark, |l| l.id) else {
+                continue;
+            };
+            let landmark = &mut self.landmarks[slot];
+            // A landmark begins with the extent of its first patch, in that patch's own frame.
+            sighting.drawn = Some(if landmark.first_keyframe == number {
+                Isometry3::identity()
+            } else {
+                landmark.extend(&sighting.observation, &pose)
+            });
+        }
     }
 
     /// Files a landmark in the index where it is now.
@@ -145,6 +187,14 @@ impl Estimate {
             if let Some(weight) = noise.try_inverse() {
                 information += innovation.h_x.transpose() * weight * innovation.h_x;
             }
+        }
+        for sighting in &keyframe.curves {
+            if self.curves[sighting.curve].first_keyframe == number {
+                continue;
+            }
+            let Some(linear) = self.graph.linearised(sighting.factor) else { continue };
+            let on_pose = linear.jacobian.fixed_columns::<6>(0);
+            information += on_pose.transpose() * on_pose;
         }
         information
     }

@@ -1,10 +1,13 @@
 use super::super::attitude::attitude_rows;
+use super::super::curved::perturbed_axis;
 use super::super::innovation::Innovation;
 use super::super::perturbation::{perturbed_plane, perturbed_pose, pose_error, rotation_matrix};
+use super::curved_rows::{axis_rows, centre_rows};
 use super::{Key, Value};
 use crate::geometry::lie::{skew, so3_left_jacobian_inverse};
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix2, Matrix3, Matrix3x4, Matrix4, Matrix6, Vector3, Vector6,
+    DMatrix, DVector, Isometry3, Matrix2, Matrix3, Matrix3x4, Matrix4, Matrix6, Point3, Vector3,
+    Vector4, Vector6,
 };
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +45,32 @@ pub enum Factor {
         /// Observed frame in the robot frame.
         robot_from_plane: Isometry3<f64>,
         /// Covariance of (offset, tilt about y, tilt about x) in the observed frame.
+        covariance: Matrix3<f64>,
+    },
+    /// The axis of a cylinder was observed from a pose.
+    Axis {
+        /// The pose.
+        pose: Key,
+        /// The axis.
+        axis: Key,
+        /// Common errors of the scan and how they move this observation, if there are any.
+        errors: Option<(Key, Matrix4<f64>)>,
+        /// Observed frame in the robot frame, z along the axis.
+        robot_from_axis: Isometry3<f64>,
+        /// Covariance of (offset along x and y, tilt towards x and y) in the observed frame.
+        covariance: Matrix4<f64>,
+    },
+    /// The centre of a sphere was observed from a pose.
+    Centre {
+        /// The pose.
+        pose: Key,
+        /// The centre.
+        centre: Key,
+        /// Common errors of the scan and how they move this observation, if there are any.
+        errors: Option<(Key, Matrix3x4<f64>)>,
+        /// Observed point in the robot frame.
+        robot_point: Point3<f64>,
+        /// Its covariance in the robot frame, m².
         covariance: Matrix3<f64>,
     },
     /// Roll and pitch of a pose were measured.
@@ -82,7 +111,31 @@ impl Factor {
                 keys.extend(errors.as_ref().map(|(key, _)| *key));
                 keys
             }
+            Self::Axis { pose, axis, errors, .. } => {
+                let mut keys = vec![*pose, *axis];
+                keys.extend(errors.as_ref().map(|(key, _)| *key));
+                keys
+            }
+            Self::Centre { pose, centre, errors, .. } => {
+                let mut keys = vec![*pose, *centre];
+                keys.extend(errors.as_ref().map(|(key, _)| *key));
+                keys
+            }
             Self::ErrorPrior { errors } => vec![*errors],
+        }
+    }
+
+    /// Root of the noise of a sighted axis or centre, and how many of its components are lengths.
+    pub fn curve_noise(&self) -> Option<(DMatrix<f64>, usize)> {
+        let dense = |columns: &[f64], size| DMatrix::from_column_slice(size, size, columns);
+        match self {
+            Self::Axis { covariance, .. } => {
+                Some((dense(covariance.cholesky()?.l().as_slice(), 4), 2))
+            }
+            Self::Centre { covariance, .. } => {
+                Some((dense(covariance.cholesky()?.l().as_slice(), 3), 3))
+            }
+            _ => None,
         }
     }
 
@@ -110,6 +163,18 @@ impl Factor {
                     robot_from_plane,
                     covariance,
                 )
+            }
+            Self::Axis { pose, axis, errors, robot_from_axis, covariance } => {
+                let common =
+                    errors.as_ref().map(|(key, jacobian)| (jacobian, value(*key).errors()));
+                let (pose, axis) = (value(*pose).pose(), value(*axis).axis());
+                axis_rows(pose, axis, common, robot_from_axis, covariance)
+            }
+            Self::Centre { pose, centre, errors, robot_point, covariance } => {
+                let common =
+                    errors.as_ref().map(|(key, jacobian)| (jacobian, value(*key).errors()));
+                let (pose, centre) = (value(*pose).pose(), value(*centre).centre());
+                centre_rows(pose, centre, common, robot_point, covariance)
             }
             Self::Attitude { pose, roll_rad, pitch_rad, sigma_rad } => {
                 let (residual, rows) = attitude_rows(value(*pose).pose(), *roll_rad, *pitch_rad);
@@ -167,7 +232,7 @@ fn between_rows(
 fn plane_rows(
     pose: &Isometry3<f64>,
     plane: &Isometry3<f64>,
-    common: Option<(&Matrix3x4<f64>, &nalgebra::Vector4<f64>)>,
+    common: Option<(&Matrix3x4<f64>, &Vector4<f64>)>,
     robot_from_plane: &Isometry3<f64>,
     covariance: &Matrix3<f64>,
 ) -> Linearised {
@@ -202,8 +267,8 @@ impl Value {
     pub fn dimension(&self) -> usize {
         match self {
             Self::Pose(_) => 6,
-            Self::Plane(_) => 3,
-            Self::Errors(_) => 4,
+            Self::Plane(_) | Self::Centre(_) => 3,
+            Self::Axis(_) | Self::Errors(_) => 4,
         }
     }
 
@@ -227,8 +292,24 @@ impl Value {
         }
     }
 
+    /// The axis frame. Panics as [`pose`](Self::pose) does.
+    pub fn axis(&self) -> &Isometry3<f64> {
+        match self {
+            Self::Axis(frame) => frame,
+            other => panic!("an axis was expected, not {other:?}"),
+        }
+    }
+
+    /// The centre. Panics as [`pose`](Self::pose) does.
+    pub fn centre(&self) -> &Point3<f64> {
+        match self {
+            Self::Centre(point) => point,
+            other => panic!("a centre was expected, not {other:?}"),
+        }
+    }
+
     /// The common errors of a scan. Panics as [`pose`](Self::pose) does.
-    pub fn errors(&self) -> &nalgebra::Vector4<f64> {
+    pub fn errors(&self) -> &Vector4<f64> {
         match self {
             Self::Errors(errors) => errors,
             other => panic!("errors of a scan were expected, not {other:?}"),
@@ -245,16 +326,18 @@ impl Value {
             Self::Plane(frame) => {
                 Self::Plane(perturbed_plane(frame, &Vector3::from_column_slice(error)))
             }
-            Self::Errors(errors) => {
-                Self::Errors(errors + nalgebra::Vector4::from_column_slice(error))
+            Self::Axis(frame) => {
+                Self::Axis(perturbed_axis(frame, &Vector4::from_column_slice(error)))
             }
+            Self::Centre(point) => Self::Centre(point + Vector3::from_column_slice(error)),
+            Self::Errors(errors) => Self::Errors(errors + Vector4::from_column_slice(error)),
         }
     }
 }
 
 /// Scales the columns of a common-error Jacobian by the errors' standard deviations, so that the
 /// errors become variables of unit variance.
-pub fn scaled_errors(jacobian: &Matrix3x4<f64>, sigmas: &nalgebra::Vector4<f64>) -> Matrix3x4<f64> {
+pub fn scaled_errors(jacobian: &Matrix3x4<f64>, sigmas: &Vector4<f64>) -> Matrix3x4<f64> {
     jacobian * Matrix4::from_diagonal(sigmas)
 }
 
@@ -262,7 +345,7 @@ pub fn scaled_errors(jacobian: &Matrix3x4<f64>, sigmas: &nalgebra::Vector4<f64>)
 mod tests {
     use super::super::super::perturbation::tests::any_pose;
     use super::*;
-    use nalgebra::{UnitQuaternion, Vector4};
+    use nalgebra::UnitQuaternion;
     use proptest::prelude::*;
 
     fn check(factor: &Factor, values: &[Value]) -> Result<(), TestCaseError> {
@@ -328,6 +411,36 @@ mod tests {
             };
             check(&factor(None), &values)?;
             check(&factor(Some((Key(2), Matrix3x4::from_row_slice(&common) * 0.01))), &values)?;
+        }
+
+        #[test]
+        fn curve_factors_match_central_differences(
+            pose in any_pose(), observed in any_pose(),
+            shift in prop::array::uniform3(-1.0..1.0f64), tilt in prop::array::uniform3(-0.3..0.3f64),
+            errors in prop::array::uniform4(-1.0..1.0f64),
+            common in prop::array::uniform16(-1.0..1.0f64),
+        ) {
+            let near = Isometry3::new(Vector3::from(shift), Vector3::from(tilt));
+            let frame = pose * observed * near;
+            let values = [
+                Value::Pose(pose), Value::Axis(frame),
+                Value::Centre(Point3::from(frame.translation.vector)),
+                Value::Errors(Vector4::from(errors)),
+            ];
+            let by_errors = Matrix4::from_row_slice(&common) * 0.01;
+            let covariance = Matrix4::from_diagonal(&Vector4::new(0.02, 0.03, 0.01, 0.04));
+            let axis = |errors| Factor::Axis {
+                pose: Key(0), axis: Key(1), errors, robot_from_axis: observed, covariance,
+            };
+            check(&axis(None), &values)?;
+            check(&axis(Some((Key(3), by_errors))), &values)?;
+            let centre = |errors| Factor::Centre {
+                pose: Key(0), centre: Key(2), errors,
+                robot_point: Point3::from(observed.translation.vector),
+                covariance: covariance.fixed_view::<3, 3>(0, 0).into_owned(),
+            };
+            check(&centre(None), &values)?;
+            check(&centre(Some((Key(3), by_errors.fixed_rows::<3>(0).into_owned()))), &values)?;
         }
     }
 }

@@ -15,6 +15,7 @@
 //! 2012); here the cliques hold Cholesky fronts, and a variable's error is that of
 //! [`perturbation`](super::perturbation).
 
+mod curved_rows;
 mod dense;
 mod factor;
 mod marginals;
@@ -25,7 +26,7 @@ mod tree;
 
 pub use factor::{Factor, Linearised, positive, scaled_errors};
 
-use nalgebra::{Isometry3, Vector4};
+use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector4};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use tree::Clique;
@@ -45,6 +46,11 @@ pub enum Value {
     Pose(Isometry3<f64>),
     /// A plane's frame in the world; its error is (offset, tilt about y, tilt about x) in the frame.
     Plane(Isometry3<f64>),
+    /// A cylinder's axis in the world, z along it; its error is that of
+    /// [`curved`](super::curved).
+    Axis(Isometry3<f64>),
+    /// A sphere's centre in the world; its error is a shift there.
+    Centre(Point3<f64>),
     /// Common errors of a scan, in units of their standard deviations.
     Errors(Vector4<f64>),
 }
@@ -186,6 +192,17 @@ impl Graph {
             .filter_map(|&id| self.factor(id).map(|factor| (id, factor)))
     }
 
+    /// How a measurement that is not in the graph compares with what is believed: its whitened residual
+    /// and the covariance of that, from its own noise and from its variables' joint covariance.
+    pub fn innovation(&self, factor: &Factor) -> (DVector<f64>, DMatrix<f64>) {
+        let Linearised { jacobian, residual } = self.linearised_now(factor);
+        let mut spread = &jacobian * self.covariance(&factor.keys()) * jacobian.transpose();
+        for i in 0..spread.nrows() {
+            spread[(i, i)] += 1.0;
+        }
+        (residual, spread)
+    }
+
     /// Number of measurements.
     pub fn factor_count(&self) -> usize {
         self.factors.iter().flatten().count()
@@ -214,8 +231,16 @@ impl Graph {
 
     /// Whitened residual of a measurement at the present solution: its squared norm is the squared
     /// Mahalanobis distance under the measurement's own noise.
-    pub fn residual(&self, id: FactorId) -> Option<nalgebra::DVector<f64>> {
-        let factor = self.factor(id)?;
+    pub fn residual(&self, id: FactorId) -> Option<DVector<f64>> {
+        Some(self.linearised(id)?.residual)
+    }
+
+    /// A measurement linearised at the present solution.
+    pub fn linearised(&self, id: FactorId) -> Option<Linearised> {
+        Some(self.linearised_now(self.factor(id)?))
+    }
+
+    fn linearised_now(&self, factor: &Factor) -> Linearised {
         let values: Vec<(Key, Value)> =
             factor.keys().into_iter().map(|key| (key, self.value(key))).collect();
         let value_of = |key: Key| {
@@ -225,7 +250,7 @@ impl Graph {
                 .map(|(_, value)| value)
                 .expect("a factor asks for its own keys only")
         };
-        Some(factor.linearise(value_of).residual)
+        factor.linearise(value_of)
     }
 
     /// Sum of the squared whitened residuals of all measurements.

@@ -2,7 +2,7 @@
 
 use super::dense::factorise_leading;
 use super::ordering::{Symbolic, eliminate};
-use super::{Graph, GraphUpdate, Key};
+use super::{Graph, GraphUpdate, Key, Value};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -53,11 +53,12 @@ impl Graph {
         let variable = &self.variables[key.0 as usize];
         let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
         let delta = variable.delta();
-        let (shift, turn) = match delta.len() {
-            6 => (norm(&delta[..3]), norm(&delta[3..])),
-            3 => (delta[0].abs(), norm(&delta[1..])),
-            // Common errors enter almost linearly: in units of sigma they never matter here.
-            _ => (0.0, 0.0),
+        let (shift, turn) = match variable.at {
+            Value::Pose(_) => (norm(&delta[..3]), norm(&delta[3..])),
+            Value::Plane(_) => (delta[0].abs(), norm(&delta[1..])),
+            Value::Axis(_) => (norm(&delta[..2]), norm(&delta[2..])),
+            // Centres enter linearly, and common errors almost: in units of sigma they never matter.
+            Value::Centre(_) | Value::Errors(_) => (0.0, 0.0),
         };
         shift > self.config.relinearise_m || turn > self.config.relinearise_rad
     }
