@@ -17,6 +17,7 @@ pub struct RecordedTriples {
     next: usize,
     tilt_late: Span,
     pose_late: Span,
+    remarks: Vec<String>,
 }
 
 /// Why a record of triples cannot be read.
@@ -51,10 +52,65 @@ const LEAST_SWING_RAD: f64 = 0.0873;
 const FIXED: usize = 13;
 
 impl RecordedTriples {
-    /// A record of `triples`, put in order of time.
-    pub fn new(mut triples: Vec<Triple>) -> Self {
-        triples.sort_by_key(|triple| triple.stamp);
-        Self { triples, ..Self::default() }
+    /// A record of `triples`, put in order of time. Of triples of one time the first is kept, and of
+    /// lines of different lengths those that are as long as most.
+    pub fn new(triples: Vec<Triple>) -> Self {
+        Self::in_order(triples.into_iter().map(|triple| (None, triple)).collect())
+    }
+
+    /// The same of triples with the numbers of their lines in a file.
+    fn in_order(mut numbered: Vec<(Option<usize>, Triple)>) -> Self {
+        let mut remarks = Vec::new();
+        let place = |(number, triple): &(Option<usize>, Triple)| {
+            let at = format!("at {:.3} s", triple.stamp.seconds());
+            number.map_or(at.clone(), |number| format!("line {number}, {at}"))
+        };
+        let mut counted = |odd: &[String], what: &str| {
+            if let Some(first) = odd.first() {
+                remarks.push(format!("{} {what} (the first: {first})", odd.len()));
+            }
+        };
+        let mut latest = Stamp(i64::MIN);
+        let mut backward = Vec::new();
+        for row in &numbered {
+            if row.1.stamp < latest {
+                backward.push(place(row));
+            }
+            latest = latest.max(row.1.stamp);
+        }
+        counted(&backward, "triples stand behind later ones: put in order");
+        numbered.sort_by_key(|(_, triple)| triple.stamp);
+        let (mut again, mut last) = (Vec::new(), None);
+        numbered.retain(|row| {
+            let is_new = last != Some(row.1.stamp);
+            last = Some(row.1.stamp);
+            if !is_new {
+                again.push(place(row));
+            }
+            is_new
+        });
+        counted(&again, "triples have the time of another one: left out");
+        let mut lengths = std::collections::BTreeMap::<usize, usize>::new();
+        numbered.iter().for_each(|(_, t)| *lengths.entry(t.line.len()).or_default() += 1);
+        // Of lengths that are equally frequent the greatest: the others were cut.
+        let usual = lengths.iter().max_by_key(|&(&length, &count)| (count, length));
+        let usual = usual.map_or(0, |(&length, _)| length);
+        let mut other = Vec::new();
+        numbered.retain(|row| {
+            let beams = row.1.line.len();
+            if beams != usual {
+                other.push(format!("{}, {beams} beams", place(row)));
+            }
+            beams == usual
+        });
+        counted(&other, &format!("lines have another number of beams than {usual}: left out"));
+        let triples = numbered.into_iter().map(|(_, triple)| triple).collect();
+        Self { triples, remarks, ..Self::default() }
+    }
+
+    /// What was odd about the record, in words for a user, with counts; empty as a rule.
+    pub fn remarks(&self) -> &[String] {
+        &self.remarks
     }
 
     /// The same record with tilts `tilt_late` and poses `pose_late` later than their lines, either of
@@ -102,10 +158,10 @@ impl RecordedTriples {
                     return Err(wrong("a second mount; a record has one".to_owned()));
                 }
                 Some(rest) => mount = Some(mount_of(rest).map_err(wrong)?),
-                None => triples.push(triple_of(line).map_err(wrong)?),
+                None => triples.push((Some(at + 1), triple_of(line).map_err(wrong)?)),
             }
         }
-        Ok(Self { mount, ..Self::new(triples) })
+        Ok(Self { mount, ..Self::in_order(triples) })
     }
 
     /// The record as text, as [`RecordedTriples::parse`] reads it.
@@ -150,8 +206,10 @@ impl RecordedTriples {
             let goes_on = turn * direction > 0.0 && here.stamp - last.stamp <= LONGEST_REST;
             if !goes_on {
                 found.push(begin..end + 1);
-                // The tilt left where it was last seen: at the triple before this one.
-                begin = at - 1;
+                // The tilt left where it was last seen, at the triple before this one; unless that was
+                // before a gap in the record.
+                let gap = here.stamp - self.triples[at - 1].stamp > LONGEST_REST;
+                begin = if gap { at } else { at - 1 };
             }
             (end, direction) = (at, turn);
         }
@@ -235,6 +293,14 @@ fn mount_of(rest: &str) -> Result<TiltMount, String> {
     })
 }
 
+/// Whether a number lies where one of its kind can.
+fn sane(what: &str, value: f64, most: f64, unit: &str) -> Result<(), String> {
+    match value.abs() <= most {
+        true => Ok(()),
+        false => Err(format!("{what} of {value} {unit}: expected at most {most:.6} {unit}")),
+    }
+}
+
 fn triple_of(line: &str) -> Result<Triple, String> {
     let numbers = numbers_of(line)?;
     let Some((fixed, ranges)) = numbers.split_first_chunk::<FIXED>() else {
@@ -245,6 +311,23 @@ fn triple_of(line: &str) -> Result<Triple, String> {
     }
     let &[stamp, x, y, z, qw, qx, qy, qz, tilt_rad, first_bearing_rad, bearing_step_rad, min, max] =
         fixed;
+    sane("a time", stamp, 1e9, "s")?;
+    [x, y, z].into_iter().try_for_each(|along| sane("a place", along, 1e6, "m"))?;
+    sane("a tilt", tilt_rad, std::f64::consts::PI, "rad")?;
+    sane("a first bearing", first_bearing_rad, 2.0 * std::f64::consts::PI, "rad")?;
+    sane("a step of bearings", bearing_step_rad, std::f64::consts::PI, "rad")?;
+    sane("a greatest distance", max, 1e4, "m")?;
+    if bearing_step_rad == 0.0 || min < 0.0 || max <= min {
+        return Err(format!(
+            "beams {bearing_step_rad} rad apart that measure from {min} to {max} m are none"
+        ));
+    }
+    for (beam, &range) in ranges.iter().enumerate() {
+        // Servers print a beam without return somewhat beyond the greatest distance, or as -1.
+        if range < -1.0 || range > 10.0 * max {
+            return Err(format!("distance {} is {range} m, the greatest is {max} m", beam + 1));
+        }
+    }
     let stamp = Stamp::from_seconds(stamp);
     Ok(Triple {
         stamp,
@@ -338,6 +421,50 @@ pub(super) mod tests {
         let record = RecordedTriples::new(tilts.into_iter().enumerate().map(at).collect());
         assert_eq!(record.sweeps(), [4..28, 27..38]);
         assert!(RecordedTriples::default().sweeps().is_empty());
+    }
+
+    #[test]
+    fn a_gap_in_the_record_ends_a_sweep() {
+        let mut triples = record().triples().to_vec();
+        for triple in &mut triples[30..] {
+            triple.stamp = triple.stamp + Span::from_millis(1_000_000);
+        }
+        assert_eq!(RecordedTriples::new(triples).sweeps(), [0..30, 30..60]);
+    }
+
+    #[test]
+    fn triples_of_one_time_out_of_order_or_of_another_length_are_counted_and_told() {
+        let mut text = record().to_text();
+        let lines: Vec<String> = text.lines().map(str::to_owned).collect();
+        text += &format!("{}\n", lines[3]);
+        let cut: Vec<&str> = lines[4].split(' ').collect();
+        text += &format!("100.05 {}\n", cut[1..cut.len() - 4].join(" "));
+        let record = RecordedTriples::parse(&text).unwrap();
+        assert_eq!(record.triples().len(), 60);
+        let remarks = record.remarks();
+        assert_eq!(remarks.len(), 3, "{remarks:?}");
+        assert!(remarks[0].starts_with("2 triples stand behind later ones"), "{remarks:?}");
+        assert!(remarks[1].starts_with("1 triples have the time of another one"), "{remarks:?}");
+        assert!(remarks[1].contains("line 62"), "{remarks:?}");
+        assert!(remarks[2].contains("line 63") && remarks[2].contains("57 beams"), "{remarks:?}");
+        assert_eq!(super::super::triples::tests::record().remarks(), [""; 0]);
+    }
+
+    #[test]
+    fn absurd_numbers_are_named_with_their_line() {
+        let with = |stamp: &str, tilt: &str, range: &str| {
+            let text = format!(
+                "usar triples 1\n{stamp} 0 0 0 1 0 0 0 {tilt} -1.57 0.0174 0.1 20 2.5 {range}\n"
+            );
+            RecordedTriples::parse(&text).map_err(|error| error.to_string())
+        };
+        assert!(with("1", "0.1", "3").is_ok());
+        let why = with("1", "50", "3").unwrap_err();
+        assert_eq!(why, "line 2: a tilt of 50 rad: expected at most 3.141593 rad");
+        let why = with("1", "0.1", "1e300").unwrap_err();
+        assert!(why.starts_with("line 2: distance 2 is 1") && why.ends_with("is 20 m"), "{why}");
+        assert_eq!(with("1", "0.1", "NaN").unwrap_err(), "line 2: `NaN` is not finite");
+        assert!(with("1e300", "0.1", "3").unwrap_err().starts_with("line 2: a time of"));
     }
 
     #[test]

@@ -109,6 +109,7 @@ pub fn run(arguments: &ScanArguments) -> Result<ExitCode> {
             .with_context(|| format!("cannot write {}", path.display()))?;
     }
     let name = arguments.record.display();
+    record.remarks().iter().for_each(|remark| eprintln!("warning: {name}: {remark}"));
     let mount = record.mount().with_context(|| {
         format!("{name} does not tell where the laser sits: a `mount` line in it or --mount does")
     })?;
@@ -149,18 +150,14 @@ pub fn run(arguments: &ScanArguments) -> Result<ExitCode> {
 
 /// The record: as it stands in a file, or made from a session.
 fn read(arguments: &ScanArguments) -> Result<RecordedTriples> {
-    let path = &arguments.record;
-    if path != Path::new("-") && !path.is_dir() {
-        let bytes =
-            std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-        if bytes.starts_with(HEADING.as_bytes()) {
-            let text = std::str::from_utf8(&bytes)
-                .with_context(|| format!("{} is not text", path.display()))?;
-            return RecordedTriples::parse(text).with_context(|| path.display().to_string());
-        }
+    let (bytes, path) = session::read_session(&arguments.record)?;
+    if bytes.starts_with(HEADING.as_bytes()) {
+        let text = std::str::from_utf8(&bytes)
+            .with_context(|| format!("{} is not text", path.display()))?;
+        return RecordedTriples::parse(text).with_context(|| path.display().to_string());
     }
     let Session { recording, agent, .. } =
-        session::open(path, arguments.class.as_deref(), false, &[])?;
+        session::of_bytes(&bytes, &path, arguments.class.as_deref(), false, &[])?;
     if let Some(loss) = &recording.loss {
         eprintln!("warning: the recording is not whole: {loss}");
     }

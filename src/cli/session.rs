@@ -34,10 +34,25 @@ pub fn open(
     overrides: &[Source],
 ) -> Result<Session> {
     let (bytes, path) = read_session(path)?;
+    of_bytes(&bytes, &path, class, observe, overrides)
+}
+
+/// The same of the bytes of a session that stood in `path`.
+///
+/// # Errors
+///
+/// Bytes that are no session, a configuration that cannot be used.
+pub fn of_bytes(
+    bytes: &[u8],
+    path: &Path,
+    class: Option<&str>,
+    observe: bool,
+    overrides: &[Source],
+) -> Result<Session> {
     if bytes.starts_with(MAGIC) {
-        return own(observe, &bytes, &path, overrides);
+        return own(observe, bytes, path, overrides);
     }
-    let capture = Capture::read(&bytes);
+    let capture = Capture::read(bytes);
     if capture.lines.is_empty() {
         bail!("{}: neither a recording nor text with lines of a server in it", path.display());
     }

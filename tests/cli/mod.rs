@@ -275,6 +275,14 @@ fn recorded_triples_of_a_session_become_a_scan_that_can_be_segmented() {
 
     fs::write(&triples, "usar triples 1\n1 2 x\n").unwrap();
     fails_with(&["scan", text(&triples)], &["triples.txt", "line 2", "`x` is no number"]);
+    // The same from standard input.
+    let output = assert_cmd::Command::new(assert_cmd::cargo::cargo_bin!("usar"))
+        .args(["scan", "-"])
+        .write_stdin("usar triples 1\n1 2 x\n")
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success() && told.contains("line 2: `x` is no number"), "{told}");
 }
 
 #[test]
