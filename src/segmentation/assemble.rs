@@ -2,7 +2,6 @@
 
 use super::Stage;
 use super::axes::candidate_axes;
-use super::borders::Borders;
 use super::components::{Components, NONE};
 use super::config::SegmentationConfig;
 use super::field::Field;
@@ -40,7 +39,6 @@ const LEAST_CORE_SHARE: f64 = 0.3;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assembler {
     components: Components,
-    borders: Borders,
     border: Vec<u32>,
     /// Cells at a border, one count for each component.
     border_cells: Vec<usize>,
@@ -54,6 +52,15 @@ pub(super) struct Assembler {
     spare_reasons: Vec<String>,
 }
 
+/// Labels, in field order, 0 for none.
+pub(super) struct Labelled<'a> {
+    pub labels: &'a [u32],
+    /// The sums of each label.
+    pub moments: &'a [Moments],
+    /// Cells, each once, among which are all at which labels meet.
+    pub border: &'a [u32],
+}
+
 /// What the result says of a component.
 #[derive(Clone, Debug)]
 struct FittedRegion {
@@ -63,21 +70,21 @@ struct FittedRegion {
 }
 
 impl Assembler {
-    /// Turns `labels` (field order, 0 for none) into `result`; `moments` stand at their label.
+    /// Turns labels into `result`.
     pub fn assemble(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
-        (labels, moments): (&[u32], &[Moments]),
+        labelled: Labelled,
         (rows, columns): (usize, usize),
         result: &mut Segmentation,
         observe: &mut dyn FnMut(Stage),
     ) {
         self.recycle(result);
         (result.rows, result.columns) = (rows, columns);
-        self.components.find(labels, field.lanes);
+        self.components.find(labelled.labels, field.lanes);
         self.number_regions(field, config, result);
-        self.fit_regions(field, config, labels, moments);
+        self.fit_regions(field, config, &labelled);
         observe(Stage::Fit);
         self.write_surfaces(field, result);
         self.write_labels(field, result);
@@ -146,15 +153,14 @@ impl Assembler {
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
-        labels: &[u32],
-        moments: &[Moments],
+        labelled: &Labelled,
     ) {
-        self.leave_borders_out(field);
+        self.leave_borders_out(field, labelled.border);
         self.fitted.clear();
         for k in 0..self.order.len() {
             let (_, component) = self.order[k];
-            let label = labels[self.middle(component)];
-            let q = moments[label as usize].solve();
+            let label = labelled.labels[self.middle(component)];
+            let q = labelled.moments[label as usize].solve();
             let (shape, centroid) = self.fit_region(field, component, config, q);
             self.fitted.push(FittedRegion { component, shape, centroid });
         }
@@ -196,15 +202,15 @@ impl Assembler {
 
     /// Takes the gains of the cells at borders to other regions away: which region they belong to
     /// was decided by their error, so they would bias a fit. Small regions keep theirs.
-    fn leave_borders_out(&mut self, field: &Field) {
+    fn leave_borders_out(&mut self, field: &Field, border: &[u32]) {
         let of_cell = &self.components.of_cell;
-        self.borders.find(of_cell, field.lanes, &mut self.border);
         self.border_cells.clear();
         self.border_cells.resize(self.components.len(), 0);
         let components = &self.components;
-        self.border.retain(|&cell| {
+        self.border.clear();
+        self.border.extend(border.iter().filter(|&&cell| {
             of_cell[cell as usize] != NONE && !components.is_core(cell as usize, field)
-        });
+        }));
         for &cell in &self.border {
             self.border_cells[of_cell[cell as usize] as usize] += 1;
         }
@@ -286,7 +292,8 @@ impl Assembler {
                     let mut hull = self.spare_hulls.pop().unwrap_or_else(fresh);
                     let points = [&field.x[..], &field.y, &field.z];
                     let runs = self.components.runs(component);
-                    self.hull.find_in_runs(points, runs, &grid_from_plane, &mut hull);
+                    let width = field.lanes;
+                    self.hull.find_in_runs(points, width, runs, &grid_from_plane, &mut hull);
                     if square_m2 > (THICKEST * across_m(&hull)).powi(2) {
                         self.spare_hulls.push(hull);
                         (Shape::Other, square_m2)

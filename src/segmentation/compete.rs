@@ -7,7 +7,7 @@
 use super::borders::Borders;
 use super::field::Field;
 use super::fit::Model;
-use super::morphology::neighbours8;
+use super::morphology::{inner8, neighbours8};
 use nalgebra::Vector3;
 
 /// Squared error, in units of the noise, at which a cell is better left without a label.
@@ -145,10 +145,14 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u
     let mut near = [NO_RETURN; 8];
     let mut around = 0;
     let mut agree = 0;
-    for n in neighbours8(cell, field.lanes, field.len()) {
-        near[around & 7] = labels[n];
-        around += usize::from(labels[n] != NO_RETURN);
-        agree += usize::from(labels[n] == own);
+    let mut look = |label: u32| {
+        near[around & 7] = label;
+        around += usize::from(label != NO_RETURN);
+        agree += usize::from(label == own);
+    };
+    match inner8(cell, field.lanes, field.len()) {
+        Some(all) => all.into_iter().for_each(|n| look(labels[n])),
+        None => neighbours8(cell, field.lanes, field.len()).for_each(|n| look(labels[n])),
     }
     let near = &near[..around];
     let error = |label: u32| {

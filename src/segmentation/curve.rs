@@ -9,7 +9,7 @@ use super::config::ShapeLimits;
 use super::facets::Facets;
 use super::field::Field;
 use super::fit::{Model, Readings, fit_cylinder, fit_sphere, settle_model};
-use super::grow::{Grower, neighbours};
+use super::grow::Grower;
 use super::noise::ReadingErrors;
 use super::sticks::{Stick, Sticks};
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
@@ -64,7 +64,6 @@ pub(super) struct CurveFinder {
     readings: Readings,
     set: Vec<u32>,
     in_set: Vec<bool>,
-    near: Vec<u32>,
     shares: Vec<(u32, f64)>,
     bounds: Vec<usize>,
     kept: Vec<bool>,
@@ -325,8 +324,7 @@ impl CurveFinder {
         while at < self.set.len() {
             let stick = self.set[at];
             at += 1;
-            neighbours(field, sticks, stick, &mut self.near);
-            for &s in &self.near {
+            for s in sticks.near(stick) {
                 let region = grower.region_of[s as usize];
                 let owner = grower.regions[region as usize].moments.n;
                 let other = &sticks.sticks[s as usize];

@@ -114,6 +114,21 @@ impl Merger {
         self.sort_pairs();
     }
 
+    /// Replaces labels by those of the regions that theirs have become part of.
+    pub fn follow(&mut self, labels: &mut [u32]) {
+        let mut merged = false;
+        for label in 0..self.parents.len() {
+            let root = self.root(label as u32);
+            merged |= root != label as u32;
+            self.parents[label] = root;
+        }
+        if merged {
+            for label in labels {
+                *label = self.parents[*label as usize];
+            }
+        }
+    }
+
     /// The region that a region has become part of.
     pub fn root(&self, mut label: u32) -> u32 {
         while self.parents[label as usize] != label {

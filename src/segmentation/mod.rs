@@ -13,6 +13,7 @@ mod compete;
 mod components;
 mod config;
 mod curve;
+mod cut;
 mod facets;
 mod field;
 mod fill;
@@ -36,7 +37,7 @@ pub use noise::{RangeNoise, ReadingErrors};
 pub use surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 
 use crate::scan::PointGrid;
-use assemble::Assembler;
+use assemble::{Assembler, Labelled};
 use field::Field;
 use noise_estimate::NoiseEstimator;
 use paper::PaperChain;
@@ -143,14 +144,14 @@ impl Segmenter {
             None => self.noise_estimator.estimate(&self.field),
         };
         self.field.set_errors(errors);
-        let moments = match self.config.method {
+        let (moments, border) = match self.config.method {
             Method::Paper => self.paper.run(&self.field, &self.config, &mut self.labels, observe),
             Method::Sticks => self.sticks.run(&self.field, &self.config, &mut self.labels, observe),
         };
         self.assembler.assemble(
             &self.field,
             &self.config,
-            (&self.labels, moments),
+            Labelled { labels: &self.labels, moments, border },
             (grid.rows(), grid.columns()),
             &mut self.result,
             observe,

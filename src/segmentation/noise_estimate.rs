@@ -6,6 +6,8 @@
 
 use super::field::Field;
 use super::noise::{RangeNoise, ReadingErrors};
+use pulp::Arch;
+use std::ops::Range;
 
 /// Variance of a third difference of white noise of unit variance: 1 + 9 + 9 + 1.
 const GAIN: f64 = 20.0;
@@ -31,8 +33,10 @@ const SIZE_SHIFT: u32 = 20;
 const FIRST_SIZE: u32 = (127 - 24) << 3;
 /// Fewest samples that make a class of range count.
 const FEWEST: f64 = 60.0;
-/// About how many samples are taken of a scan.
+/// About how many samples are taken of a scan: next neighbours, which tell the noise itself, and
+/// those that only tell whether wider pitches differ much.
 const SAMPLES: usize = 10_000;
+const FAR_SAMPLES: usize = 5_000;
 /// Widest pitch of the differences that tell how far errors are alike: 2.3°, with four of them less
 /// than most things are wide; and in cells.
 const WIDEST_RAD: f32 = 0.04;
@@ -56,8 +60,11 @@ const ANGLE_UNIT: f32 = 0.01;
 /// Buffers of the estimate.
 #[derive(Clone, Debug)]
 pub(super) struct NoiseEstimator {
-    counts: Vec<[u32; SIZE_CLASSES]>,
-    squares: Vec<[f32; SIZE_CLASSES]>,
+    /// Number and squares of the samples: bins of size, class after class, and one for what does not
+    /// count.
+    bins: Vec<[f32; 2]>,
+    /// Bins and squares of the samples of one step.
+    filed: Vec<(u32, f32)>,
     classes: Vec<Class>,
 }
 
@@ -75,8 +82,8 @@ type Classes = [Option<Class>; RANGE_CLASSES];
 impl Default for NoiseEstimator {
     fn default() -> Self {
         Self {
-            counts: vec![[0; SIZE_CLASSES]; RANGE_CLASSES],
-            squares: vec![[0.0; SIZE_CLASSES]; RANGE_CLASSES],
+            bins: vec![[0.0; 2]; RANGE_CLASSES * SIZE_CLASSES + 1],
+            filed: Vec::new(),
             classes: Vec::with_capacity(RANGE_CLASSES),
         }
     }
@@ -91,16 +98,18 @@ struct Probe {
     kept: f64,
     /// Variance of a standard normal variable that is cut at its `kept` quantile of size.
     kept_variance: f64,
+    /// About how many samples are taken.
+    samples: usize,
 }
 
 impl Probe {
     fn near() -> Self {
-        Self { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE }
+        Self { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE, samples: SAMPLES }
     }
 
     fn far(down: usize, right: usize) -> Self {
         let (kept, kept_variance) = (FAR_KEPT, FAR_KEPT_VARIANCE);
-        Self { down, right, kept, kept_variance }
+        Self { down, right, kept, kept_variance, samples: FAR_SAMPLES }
     }
 }
 
@@ -132,11 +141,7 @@ impl NoiseEstimator {
     /// angle, which shows with the slope of the surfaces, and if not, over how many cells the errors
     /// are alike.
     pub fn estimate(&mut self, field: &Field) -> ReadingErrors {
-        let (mut nearest, mut farthest) = (f32::MAX, 0.0);
-        for &range in &field.range {
-            nearest = if range > 0.0 && range < nearest { range } else { nearest };
-            farthest = if range > farthest { range } else { farthest };
-        }
+        let [nearest, farthest] = field.extent();
         let span = (nearest, RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3));
         let pitch = ((field.across_rad / field.along_rad).round() as usize).clamp(3, 8);
         let near = self.measure(field, span, Probe::near());
@@ -236,28 +241,25 @@ impl NoiseEstimator {
         let sigmas: [f32; RANGE_CLASSES] = std::array::from_fn(|class| {
             model.sigma_m(f64::from(span.0) + (class as f64 + 0.5) / f64::from(span.1)) as f32
         });
-        self.gather(field, [pitch, 0], |difference, step| {
+        self.gather(field, [pitch, 0], SAMPLES, |difference, step| {
             let turn = field.positions[step + 3 * pitch] - field.positions[step];
             let slope = difference.first.abs() / turn * difference.range;
-            if slope > STEEPEST {
-                return None;
-            }
             let sigma = sigmas[range_class(difference.range, span)];
             let steepness = slope * difference.range / sigma;
             let class = ((steepness / FLATTEST).log2().floor().clamp(-1.0, 10.0) + 1.0) as usize;
             // In a unit that the size classes are made for.
-            Some((class, difference.error_m() / sigma * ANGLE_UNIT))
+            let error = difference.error_m() / sigma * ANGLE_UNIT;
+            (if slope > STEEPEST { RANGE_CLASSES } else { class }, error)
         });
         let mut told = [SlopeClass::default(); RANGE_CLASSES];
-        let all: u32 = self.counts[1..].iter().flatten().sum();
-        let fewest = FEWEST.max(LEAST_SHARE * f64::from(all));
+        let all = self.samples(1..RANGE_CLASSES);
+        let fewest = FEWEST.max(LEAST_SHARE * all);
         let mut count = 0;
         let unit = f64::from(ANGLE_UNIT);
         for class in 1..RANGE_CLASSES {
-            let samples = f64::from(self.counts[class].iter().sum::<u32>());
+            let samples = self.samples(class..class + 1);
             if samples >= fewest {
-                let (counts, squares) = (&self.counts[class], &self.squares[class]);
-                let kept = trimmed_mean(counts, squares, samples, KEPT);
+                let kept = trimmed_mean(&self.bins[bins_of(class..class + 1)], samples, KEPT);
                 let variance = kept / (KEPT_VARIANCE * GAIN * unit * unit);
                 let steepness = f64::from(FLATTEST) * 2.0_f64.powf(class as f64 - 0.5);
                 told[count] = SlopeClass { steepness, variance, samples };
@@ -268,64 +270,83 @@ impl NoiseEstimator {
     }
 
     /// Takes differences of four readings, `[down, right]` cells apart along and across, and counts the
-    /// size of each in the class that `filed` gives for it and its step, if it gives any.
+    /// size of each in the class that `filed` gives for it and its step; none if it is too high.
     fn gather(
         &mut self,
         field: &Field,
         [down, right]: [usize; 2],
-        filed: impl Fn(Difference, usize) -> Option<(usize, f32)>,
+        samples: usize,
+        filed: impl Fn(Difference, usize) -> (usize, f32),
     ) {
-        self.counts.iter_mut().for_each(|class| class.fill(0));
-        self.squares.iter_mut().for_each(|class| class.fill(0.0));
+        self.bins.fill([0.0; 2]);
         let lanes = field.lanes;
-        let stride = (field.len() / SAMPLES).max(1);
-        let apart = down * lanes + right;
         let last = lanes.saturating_sub(3 * right);
         if last == 0 {
             return;
         }
-        for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
-            let cells = step * lanes..step * lanes + last;
-            let row = |k: usize| &field.inverse[cells.start + k * apart..cells.end + k * apart];
-            let ranges = &field.range[cells.start + apart..cells.end + apart];
-            let inner = row(1).iter().zip(row(2)).zip(ranges);
-            for ((&a, &d), ((&b, &c), &range)) in row(0).iter().zip(row(3)).zip(inner) {
-                if a * b * c * d == 0.0 {
-                    continue;
+        let steps = (0..field.steps.saturating_sub(3 * down))
+            .step_by((field.len() / samples).max(1));
+        let apart = down * lanes + right;
+        self.filed.resize(last, (0, 0.0));
+        let Self { bins, filed: placed, .. } = self;
+        // The first half for many samples at a time, the second one by one.
+        Arch::new().dispatch(|| {
+            for step in steps {
+                let first = step * lanes;
+                let row = |k: usize| &field.inverse[first + k * apart..first + k * apart + last];
+                let rows = [0, 1, 2, 3].map(row);
+                let ranges = &field.range[first + apart..first + apart + last];
+                for (i, placed) in placed.iter_mut().enumerate() {
+                    let [a, b, c, d] = rows.map(|row| row[i]);
+                    let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
+                    let (class, error) = filed(Difference { first, third, range: ranges[i] }, step);
+                    let class = if a * b * c * d == 0.0 { RANGE_CLASSES } else { class };
+                    let bin = (class * SIZE_CLASSES) as u32 + size_class(error);
+                    *placed = (bin.min((RANGE_CLASSES * SIZE_CLASSES) as u32), error * error);
                 }
-                let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
-                let Some((class, error)) = filed(Difference { first, third, range }, step) else {
-                    continue;
-                };
-                let size = size_class(error);
-                self.counts[class][size] += 1;
-                self.squares[class][size] += error * error;
+                for &(bin, square) in &*placed {
+                    let bin = &mut bins[bin as usize];
+                    *bin = [bin[0] + 1.0, bin[1] + square];
+                }
             }
-        }
+        });
+    }
+
+    /// Samples in classes.
+    fn samples(&self, classes: Range<usize>) -> f64 {
+        f64::from(self.bins[bins_of(classes)].iter().map(|bin| bin[0]).sum::<f32>())
     }
 
     /// The variance in each class of range, from the part that the probe keeps and from the part that
     /// is kept of far ones; `span` is the nearest range and classes per metre.
     fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
-        self.gather(field, [probe.down, probe.right], |difference, _| {
-            Some((range_class(difference.range, span), difference.error_m()))
+        self.gather(field, [probe.down, probe.right], probe.samples, |difference, _| {
+            (range_class(difference.range, span), difference.error_m())
         });
-        let classes = |share: f64, kept_variance: f64| {
-            let (nearest, per_metre) = span;
-            std::array::from_fn(|class| {
-                let range_m = f64::from(nearest) + (class as f64 + 0.5) / f64::from(per_metre);
-                let samples: u32 = self.counts[class].iter().sum();
-                let samples = f64::from(samples);
-                (samples >= FEWEST).then(|| {
-                    let (counts, squares) = (&self.counts[class], &self.squares[class]);
-                    let kept = trimmed_mean(counts, squares, samples, share);
-                    let variance = (kept / (kept_variance * GAIN)).max(LEAST_M * LEAST_M);
-                    Class { range_m, variance, samples }
-                })
-            })
-        };
-        (classes(probe.kept, probe.kept_variance), classes(FAR_KEPT, FAR_KEPT_VARIANCE))
+        let (nearest, per_metre) = span;
+        let mut told = ([None; RANGE_CLASSES], [None; RANGE_CLASSES]);
+        for class in 0..RANGE_CLASSES {
+            let samples = self.samples(class..class + 1);
+            if samples < FEWEST {
+                continue;
+            }
+            let range_m = f64::from(nearest) + (class as f64 + 0.5) / f64::from(per_metre);
+            let bins = &self.bins[bins_of(class..class + 1)];
+            let part = |share: f64, kept_variance: f64| {
+                let kept = trimmed_mean(bins, samples, share);
+                let variance = (kept / (kept_variance * GAIN)).max(LEAST_M * LEAST_M);
+                Some(Class { range_m, variance, samples })
+            };
+            told.0[class] = part(probe.kept, probe.kept_variance);
+            told.1[class] = part(FAR_KEPT, FAR_KEPT_VARIANCE);
+        }
+        told
     }
+}
+
+/// The bins of classes.
+fn bins_of(classes: Range<usize>) -> Range<usize> {
+    classes.start * SIZE_CLASSES..classes.end * SIZE_CLASSES
 }
 
 /// What readings of one steepness tell: the slope of the range over the angle, and the variance, both
@@ -375,12 +396,14 @@ fn angle_of(told: &[SlopeClass]) -> Option<f64> {
 }
 
 fn range_class(range: f32, (nearest, per_metre): (f32, f32)) -> usize {
-    (((range - nearest) * per_metre) as usize).min(RANGE_CLASSES - 1)
+    // Of a number that is not small and positive nothing is asked.
+    let class = ((range - nearest) * per_metre).clamp(0.0, RANGE_CLASSES as f32 - 1.0);
+    class as usize
 }
 
-fn size_class(error: f32) -> usize {
-    let size = (error.to_bits() >> SIZE_SHIFT).saturating_sub(FIRST_SIZE) as usize;
-    size.min(SIZE_CLASSES - 1)
+fn size_class(error: f32) -> u32 {
+    let size = (error.to_bits() >> SIZE_SHIFT) as i32 - FIRST_SIZE as i32;
+    size.clamp(0, SIZE_CLASSES as i32 - 1) as u32
 }
 
 /// How many times larger the variance of the second is, as the mean of the classes' logarithms.
@@ -397,16 +420,11 @@ fn growth(from: &Classes, to: &Classes) -> f64 {
 }
 
 /// Mean square of the `share` smallest errors.
-fn trimmed_mean(
-    counts: &[u32; SIZE_CLASSES],
-    squares: &[f32; SIZE_CLASSES],
-    samples: f64,
-    share: f64,
-) -> f64 {
+fn trimmed_mean(bins: &[[f32; 2]], samples: f64, share: f64) -> f64 {
     let mut left = share * samples;
     let mut sum = 0.0;
-    for (&count, &square) in counts.iter().zip(squares) {
-        if count == 0 {
+    for &[count, square] in bins {
+        if count == 0.0 {
             continue;
         }
         let part = (left / f64::from(count)).min(1.0);

@@ -53,14 +53,14 @@ pub(super) struct PaperChain {
 
 impl PaperChain {
     /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns the sums of
-    /// each label.
+    /// each label, and cells among which are all where labels meet.
     pub fn run(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
         labels: &mut Vec<u32>,
         observe: &mut dyn FnMut(Stage),
-    ) -> &[Moments] {
+    ) -> (&[Moments], &[u32]) {
         let paper = &config.paper;
         let width = field.lanes;
         self.residual.compute(field);
@@ -93,7 +93,7 @@ impl PaperChain {
         self.flat.extend(self.models.iter().map(|m| matches!(m, Some(Model::Plane { .. }))));
         self.merge(field, labels);
         observe(Stage::Split);
-        &self.moments
+        (&self.moments, &self.border)
     }
 
     fn find_edges(&mut self, field: &Field, paper: &PaperConfig) {
@@ -158,9 +158,7 @@ impl PaperChain {
         self.merger.pairs_of_labels(labels, field.lanes, &self.border);
         let flat = &self.flat;
         self.merger.merge(&mut self.moments, &field.errors, |label| flat[label as usize - 1]);
-        for label in labels.iter_mut() {
-            *label = self.merger.root(*label);
-        }
+        self.merger.follow(labels);
     }
 
     /// The stages as pictures, in field order.

@@ -26,14 +26,14 @@ pub(super) struct StickChain {
 
 impl StickChain {
     /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns the sums of
-    /// each label.
+    /// each label, and cells among which are all where labels meet.
     pub fn run(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
         labels: &mut Vec<u32>,
         observe: &mut dyn FnMut(Stage),
-    ) -> &[Moments] {
+    ) -> (&[Moments], &[u32]) {
         observe(Stage::Residual);
         self.sticks.cut(field);
         observe(Stage::Morphology);
@@ -60,14 +60,16 @@ impl StickChain {
         self.competition.settle_again(field, &self.rivals, labels);
         self.settled.clone_from(labels);
         observe(Stage::Split);
-        &self.moments
+        (&self.moments, &self.competition.border)
     }
 
     /// Merges planes that touch now that the cells are settled, and fits them anew.
     fn merge(&mut self, field: &Field, labels: &mut [u32]) {
         self.moments.clear();
         self.moments.extend(self.grower.regions.iter().map(|region| region.moments));
-        for (cell, (&before, &now)) in self.grown.iter().zip(labels.iter()).enumerate() {
+        for &cell in &self.competition.border {
+            let cell = cell as usize;
+            let (before, now) = (self.grown[cell], labels[cell]);
             if before != now {
                 let (point, weight) = (field.point(cell), field.weight(cell));
                 self.moments[before as usize].sub_point(point, weight);
@@ -78,9 +80,7 @@ impl StickChain {
         let models = &self.curves.models;
         self.merger
             .merge(&mut self.moments, &field.errors, |label| models[label as usize].is_none());
-        for label in labels.iter_mut() {
-            *label = self.merger.root(*label);
-        }
+        self.merger.follow(labels);
         for (label, rival) in self.rivals.iter_mut().enumerate() {
             if let Rival::Plane(q) = rival {
                 *q = self.moments[label].solve().map(|v| v as f32);
