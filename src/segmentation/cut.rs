@@ -23,8 +23,8 @@ const DOUBTED: usize = 3;
 /// Bits of a cost that give way to the length of its run, less one: the least of such costs brings
 /// its length with it. What is left of the cost is good to one part in a million.
 const LENGTH_BITS: u32 = LONGEST as u32 - 1;
-/// Values in the table of a length.
-const TABLE: usize = 7;
+/// Vectors in a block: what is the same for all lanes is loaded once for them.
+const VECTORS: usize = 2;
 
 /// Buffers of the cut. What is kept of cells stands block after block of lanes, each from its first
 /// step on, and each step's lanes together; the last block is filled up with cells without a return.
@@ -41,9 +41,24 @@ pub(super) struct Cutter {
     cost: Vec<f32>,
     /// Length, less one, of the run that ends at each cell, if one does.
     length: Vec<u32>,
-    /// What depends on the positions of a run's steps alone, for runs of two cells on, each value as
-    /// often as a block has lanes.
-    tables: Vec<f32>,
+    /// For runs of two cells on.
+    tables: Vec<Table>,
+}
+
+/// What depends on the positions of a run's steps alone, the same for all lanes.
+#[derive(Clone, Copy, Debug, Default)]
+struct Table {
+    /// Position of the farthest step before the last one.
+    back: f32,
+    /// The prediction of its reading from the sums of the others, and how much its error counts.
+    alpha: f32,
+    beta: f32,
+    gamma: f32,
+    /// The length, as [`LENGTH_BITS`] hold it.
+    length: f32,
+    /// Mean of the positions, and one over their scatter.
+    mean: f32,
+    inverse_scatter: f32,
 }
 
 impl Cutter {
@@ -80,7 +95,7 @@ impl WithSimd for Cut<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { cutter, field } = self;
-        let (width, steps) = (S::F32_LANES, field.steps);
+        let (width, steps) = (VECTORS * S::F32_LANES, field.steps);
         let blocks = field.lanes.div_ceil(width);
         (cutter.width, cutter.steps) = (width, steps);
         let cells = blocks * steps * width;
@@ -91,12 +106,12 @@ impl WithSimd for Cut<'_> {
         cutter.cost.resize(cells + blocks * width, PRICE);
         load(simd, cutter, field);
         let Cutter { inverse, sharpness, cost, length, tables, .. } = cutter;
-        let inverse = S::as_simd_f32s(inverse).0;
-        let sharpness = S::as_simd_f32s(sharpness).0;
-        let (cost, length) = (S::as_mut_simd_f32s(cost).0, S::as_mut_simd_u32s(length).0);
+        let (inverse, _) = S::as_simd_f32s(inverse).0.as_chunks::<VECTORS>();
+        let (sharpness, _) = S::as_simd_f32s(sharpness).0.as_chunks::<VECTORS>();
+        let (cost, _) = S::as_mut_simd_f32s(cost).0.as_chunks_mut::<VECTORS>();
+        let (length, _) = S::as_mut_simd_u32s(length).0.as_chunks_mut::<VECTORS>();
         for step in 0..steps {
-            make_tables(tables, width, &field.positions, step);
-            let (tables, _) = S::as_simd_f32s(tables).0.as_chunks::<TABLE>();
+            make_tables(tables, &field.positions, step);
             for block in 0..blocks {
                 let here = block * steps + step;
                 // Each block has a cost more than it has steps.
@@ -104,8 +119,7 @@ impl WithSimd for Cut<'_> {
                 let past = &inverse[here - tables.len()..here];
                 let costs = &cost[before - tables.len()..before];
                 let runs = Runs { tables, past, costs };
-                let (best, bits) =
-                    extend(simd, runs, cost[before], inverse[here], sharpness[here]);
+                let (best, bits) = extend(simd, runs, cost[before], inverse[here], sharpness[here]);
                 cost[before + 1] = best;
                 length[here] = bits;
             }
@@ -121,13 +135,20 @@ fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
     let width = S::F32_LANES;
     let inverse = S::as_mut_simd_f32s(&mut cutter.inverse).0;
     let sharpness = S::as_mut_simd_f32s(&mut cutter.sharpness).0;
+    let vectors = field.lanes.div_ceil(VECTORS * width) * VECTORS;
     for step in 0..field.steps {
-        let row = step * field.lanes..(step + 1) * field.lanes;
-        let arrays = [&field.inverse, &field.range, &field.gain].map(|array| &array[row.clone()]);
-        let [inverses, ranges, gains] = arrays.map(|array| array.chunks(width));
-        for (block, ((a, b), c)) in inverses.zip(ranges).zip(gains).enumerate() {
-            let at = block * field.steps + step;
-            let [a, range, gain] = [a, b, c].map(|values| simd.partial_load_f32s(values));
+        for vector in 0..vectors {
+            let first = (vector * width).min(field.lanes);
+            let last = (first + width).min(field.lanes);
+            let cells = step * field.lanes + first..step * field.lanes + last;
+            let at = (vector / VECTORS * field.steps + step) * VECTORS + vector % VECTORS;
+            let [a, range, gain] = [&field.inverse, &field.range, &field.gain].map(|array| {
+                let values = &array[cells.clone()];
+                match S::as_simd_f32s(values).0.first() {
+                    Some(whole) => *whole,
+                    None => simd.partial_load_f32s(values),
+                }
+            });
             inverse[at] = a;
             sharpness[at] = simd.mul_f32s(simd.mul_f32s(gain, range), trust);
         }
@@ -138,8 +159,7 @@ fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
 ///
 /// With times t counted back from the step, the line through the first m readings d predicts the next
 /// as `α Σd + β Σtd`, and that prediction and the reading differ by `1 / γ` times the variance of one.
-#[inline(always)]
-fn make_tables(tables: &mut Vec<f32>, width: usize, positions: &[f32], step: usize) {
+fn make_tables(tables: &mut Vec<Table>, positions: &[f32], step: usize) {
     tables.clear();
     let (mut sum, mut squares) = (0.0_f64, 0.0_f64);
     for k in 1..LONGEST.min(step + 1) {
@@ -148,78 +168,131 @@ fn make_tables(tables: &mut Vec<f32>, width: usize, positions: &[f32], step: usi
         let spread = m * squares - sum * sum;
         let (mut alpha, mut beta, mut gamma) = (0.0, 0.0, 0.0);
         if k > 1 && spread > 0.0 {
-            (alpha, beta) = ((squares - back * sum) / spread, (m * back - sum) / spread);
-            gamma = 1.0 / (1.0 + (squares - 2.0 * back * sum + m * back * back) / spread);
+            let share = 1.0 / spread;
+            (alpha, beta) = ((squares - back * sum) * share, (m * back - sum) * share);
+            // Its leverage is the prediction of one reading's variance.
+            gamma = 1.0 / (1.0 + alpha + beta * back);
         }
         sum += back;
         squares += back * back;
         let mean = sum / (m + 1.0);
-        let scatter = squares - sum * mean;
-        let values = [back, alpha, beta, gamma, mean, 1.0 / scatter.max(1e-14)];
-        for value in values.map(|value| value as f32) {
-            tables.extend(std::iter::repeat_n(value, width));
-        }
-        tables.extend(std::iter::repeat_n(f32::from_bits(k as u32), width));
+        let scatter = (squares - sum * mean).max(1e-14);
+        tables.push(Table {
+            back: back as f32,
+            alpha: alpha as f32,
+            beta: beta as f32,
+            gamma: gamma as f32,
+            length: f32::from_bits(k as u32),
+            mean: mean as f32,
+            inverse_scatter: (1.0 / scatter) as f32,
+        });
     }
 }
 
 /// What runs that end at a cell may be: their tables, and the inverse ranges and the costs before it.
 #[derive(Clone, Copy)]
-struct Runs<'a, S: Simd> {
-    tables: &'a [[S::f32s; TABLE]],
-    past: &'a [S::f32s],
-    costs: &'a [S::f32s],
+struct Runs<'a, V> {
+    tables: &'a [Table],
+    past: &'a [[V; VECTORS]],
+    costs: &'a [[V; VECTORS]],
 }
 
-/// The cost after a cell, and the bits of the length of the best run that ends there.
+/// A line that grows backwards from a cell, for the lanes of a vector.
+struct Line<V> {
+    inverse: V,
+    sharpness: V,
+    /// Sums of the readings, relative to that of the cell and in units of its noise, and of their
+    /// products with their positions.
+    a: V,
+    b: V,
+    error: V,
+    /// Least cost so far, with the bits of its length.
+    best: V,
+}
+
+impl<V: Copy> Line<V> {
+    /// Takes in one reading more.
+    #[inline(always)]
+    fn continue_to<S: Simd<f32s = V>>(
+        &mut self,
+        simd: S,
+        [back, alpha, beta, gamma]: [V; 4],
+        other: V,
+    ) {
+        let d = simd.mul_f32s(simd.sub_f32s(other, self.inverse), self.sharpness);
+        let off = simd.sub_f32s(d, simd.mul_f32s(alpha, self.a));
+        let off = simd.sub_f32s(off, simd.mul_f32s(beta, self.b));
+        self.a = simd.add_f32s(self.a, d);
+        self.b = simd.add_f32s(self.b, simd.mul_f32s(back, d));
+        self.error = simd.add_f32s(self.error, simd.mul_f32s(simd.mul_f32s(off, off), gamma));
+    }
+
+    /// Offers the line as it is.
+    #[inline(always)]
+    fn offer<S: Simd<f32s = V>>(&mut self, simd: S, before: V, error: V, length: V) {
+        let kept = simd.splat_f32s(f32::from_bits(!LENGTH_BITS));
+        let cost = simd.and_f32s(simd.add_f32s(before, error), kept);
+        self.best = simd.min_f32s(self.best, simd.or_f32s(cost, length));
+    }
+}
+
+/// The costs after cells, and the bits of the lengths of the best runs that end there.
 #[inline(always)]
 fn extend<S: Simd>(
     simd: S,
-    runs: Runs<S>,
-    before: S::f32s,
-    inverse: S::f32s,
-    sharpness: S::f32s,
-) -> (S::f32s, S::u32s) {
-    let kept = simd.splat_f32s(f32::from_bits(!LENGTH_BITS));
+    runs: Runs<S::f32s>,
+    before: [S::f32s; VECTORS],
+    inverse: [S::f32s; VECTORS],
+    sharpness: [S::f32s; VECTORS],
+) -> ([S::f32s; VECTORS], [S::u32s; VECTORS]) {
+    let Runs { tables, past, costs } = runs;
     let zero = simd.splat_f32s(0.0);
-    // A run of one cell has no error; its length is one, whose bits are none.
-    let mut best = simd.and_f32s(simd.sub_f32s(before, simd.splat_f32s(NO_SLOPE)), kept);
-    let (mut a, mut b, mut error) = (zero, zero, zero);
-    let steepest = simd.mul_f32s(simd.mul_f32s(sharpness, inverse), simd.splat_f32s(SLOPE));
-    let steepest = simd.max_f32s(simd.mul_f32s(steepest, steepest), simd.splat_f32s(1e-6));
-    let doubt = simd.div_f32s(simd.splat_f32s(1.0), steepest);
-    let all = runs.tables.iter().zip(runs.past.iter().rev()).zip(runs.costs.iter().rev());
-    let continued = |table: &[S::f32s; TABLE], other, a: &mut S::f32s, b: &mut S::f32s| {
-        let [back, alpha, beta, gamma, ..] = *table;
-        let d = simd.mul_f32s(simd.sub_f32s(other, inverse), sharpness);
-        let off = simd.sub_f32s(d, simd.mul_f32s(alpha, *a));
-        let off = simd.sub_f32s(off, simd.mul_f32s(beta, *b));
-        *a = simd.add_f32s(*a, d);
-        *b = simd.add_f32s(*b, simd.mul_f32s(back, d));
-        simd.mul_f32s(simd.mul_f32s(off, off), gamma)
-    };
-    let better = |best, cost, error, length| {
-        let cost = simd.and_f32s(simd.add_f32s(cost, error), kept);
-        simd.min_f32s(best, simd.or_f32s(cost, length))
-    };
-    for ((table, &other), &cost) in all.clone().take(DOUBTED) {
-        error = simd.add_f32s(error, continued(table, other, &mut a, &mut b));
-        let [.., mean, inverse_scatter, length] = *table;
-        let product = simd.sub_f32s(b, simd.mul_f32s(mean, a));
-        let slope = simd.mul_f32s(product, inverse_scatter);
-        // What the expectation says against the slope, at most what the slope explains.
-        let said = simd.mul_f32s(simd.mul_f32s(slope, slope), doubt);
-        let said = simd.min_f32s(said, simd.mul_f32s(slope, product));
-        best = better(best, cost, simd.add_f32s(error, said), length);
+    let splat = |value| simd.splat_f32s(value);
+    let mut lines: [Line<S::f32s>; VECTORS] = std::array::from_fn(|i| {
+        // A run of one cell has no error; its length is one, whose bits are none.
+        let kept = splat(f32::from_bits(!LENGTH_BITS));
+        let best = simd.and_f32s(simd.sub_f32s(before[i], splat(NO_SLOPE)), kept);
+        let (inverse, sharpness) = (inverse[i], sharpness[i]);
+        Line { inverse, sharpness, a: zero, b: zero, error: zero, best }
+    });
+    let count = tables.len();
+    let (past, costs) = (&past[..count], &costs[..count]);
+    let doubted = count.min(DOUBTED);
+    for k in 0..doubted {
+        let Table { back, alpha, beta, gamma, length, mean, inverse_scatter } = tables[k];
+        let at = count - 1 - k;
+        for (i, line) in lines.iter_mut().enumerate() {
+            line.continue_to(simd, [back, alpha, beta, gamma].map(splat), past[at][i]);
+            let product = simd.sub_f32s(line.b, simd.mul_f32s(splat(mean), line.a));
+            let slope = simd.mul_f32s(product, splat(inverse_scatter));
+            let steepest = simd.mul_f32s(line.sharpness, line.inverse);
+            let steepest = simd.mul_f32s(steepest, splat(SLOPE));
+            let square = simd.max_f32s(simd.mul_f32s(steepest, steepest), splat(1e-6));
+            // What the expectation says against the slope, at most what the slope explains.
+            let said = simd.div_f32s(simd.mul_f32s(slope, slope), square);
+            let said = simd.min_f32s(said, simd.mul_f32s(slope, product));
+            line.offer(simd, costs[at][i], simd.add_f32s(line.error, said), splat(length));
+        }
     }
-    for ((table, &other), &cost) in all.skip(DOUBTED) {
-        error = simd.add_f32s(error, continued(table, other, &mut a, &mut b));
-        best = better(best, cost, error, table[TABLE - 1]);
+    for k in doubted..count {
+        let Table { back, alpha, beta, gamma, length, .. } = tables[k];
+        let shared = [back, alpha, beta, gamma].map(splat);
+        let at = count - 1 - k;
+        for (i, line) in lines.iter_mut().enumerate() {
+            line.continue_to(simd, shared, past[at][i]);
+            line.offer(simd, costs[at][i], line.error, splat(length));
+        }
     }
-    // A cell without a return is a run of its own, at no price.
-    let valid = simd.greater_than_f32s(sharpness, zero);
-    let cost = simd.add_f32s(best, simd.splat_f32s(PRICE));
-    let cost = simd.select_f32s(valid, cost, before);
-    let bits = simd.and_u32s(simd.transmute_u32s_f32s(best), simd.splat_u32s(LENGTH_BITS));
-    (cost, simd.select_u32s(valid, bits, simd.splat_u32s(0)))
+    let costs = std::array::from_fn(|i| {
+        // A cell without a return is a run of its own, at no price.
+        let valid = simd.greater_than_f32s(sharpness[i], zero);
+        simd.select_f32s(valid, simd.add_f32s(lines[i].best, splat(PRICE)), before[i])
+    });
+    let lengths = std::array::from_fn(|i| {
+        let valid = simd.greater_than_f32s(sharpness[i], zero);
+        let bits = simd.transmute_u32s_f32s(lines[i].best);
+        let bits = simd.and_u32s(bits, simd.splat_u32s(LENGTH_BITS));
+        simd.select_u32s(valid, bits, simd.splat_u32s(0))
+    });
+    (costs, lengths)
 }

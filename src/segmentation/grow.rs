@@ -57,6 +57,10 @@ impl Plane {
         let unit = 2.0 * stick.weight / stick.n;
         stick.ends.iter().all(|&[x, y, z]| {
             let deviation = self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0;
+            // No gate lets this pass.
+            if deviation * deviation * unit >= WIDEST_GATE * WIDEST_GATE {
+                return false;
+            }
             let known =
                 xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
             // Each end stands for half the readings.
