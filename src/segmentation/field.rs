@@ -8,7 +8,7 @@
 
 use super::noise::ReadingErrors;
 use crate::scan::PointGrid;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Nearer points than this are the zeros that some drivers give for "no return", in metres.
 const NEAREST_M: f32 = 1e-3;
@@ -133,9 +133,8 @@ impl Field {
         if self.transposed {
             (self.steps, self.lanes) = (columns, rows);
             self.turned.clear();
-            self.turned.extend(
-                (0..columns).flat_map(|c| (0..rows).map(move |r| points[r * columns + c])),
-            );
+            self.turned
+                .extend((0..columns).flat_map(|c| (0..rows).map(move |r| points[r * columns + c])));
             let turned = std::mem::take(&mut self.turned);
             self.fill(&turned);
             self.turned = turned;
@@ -161,35 +160,14 @@ impl Field {
             array.resize(length, 0.0);
         }
         let Self { x, y, z, range, inverse, .. } = self;
-        let [x, y, z, range, inverse] = [x, y, z, range, inverse].map(|v| &mut v[..length]);
-        let points = &points[..length];
-        Arch::new().dispatch(|| {
-            for i in 0..length {
-                let [px, py, pz] = points[i];
-                // NaN fails both comparisons.
-                let square = px * px + py * py + pz * pz;
-                let valid = (square > NEAREST_M * NEAREST_M) & (square < f32::MAX);
-                let root = square.sqrt();
-                x[i] = if valid { px } else { 0.0 };
-                y[i] = if valid { py } else { 0.0 };
-                z[i] = if valid { pz } else { 0.0 };
-                range[i] = if valid { root } else { 0.0 };
-                inverse[i] = if valid { 1.0 / root } else { 0.0 };
-            }
-        });
+        Arch::new().dispatch(Fill { points: &points[..length], arrays: [x, y, z, range, inverse] });
     }
 
     /// Ranges of the nearest and of the farthest return.
     pub fn extent(&self) -> [f32; 2] {
         // Positive numbers are in the order of their bits, which can be compared many at a time; with
         // one less of them a range of none is beyond all.
-        let (mut low, mut high) = (u32::MAX, 0);
-        Arch::new().dispatch(|| {
-            for bits in self.range.iter().map(|range| range.to_bits()) {
-                low = low.min(bits.wrapping_sub(1));
-                high = high.max(bits);
-            }
-        });
+        let (low, high) = Arch::new().dispatch(Extent(&self.range));
         let nearest = if low == u32::MAX { f32::MAX } else { f32::from_bits(low + 1) };
         [nearest, f32::from_bits(high)]
     }
@@ -261,6 +239,50 @@ impl Field {
             [self.x[a], self.y[a], self.z[a]].map(|v| v * self.inverse[a]),
             [self.x[b], self.y[b], self.z[b]].map(|v| v * self.inverse[b]),
         )
+    }
+}
+
+/// Points into arrays of x, y, z, ranges and inverse ranges of their length.
+struct Fill<'a> {
+    points: &'a [[f32; 3]],
+    arrays: [&'a mut [f32]; 5],
+}
+
+impl WithSimd for Fill<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let [x, y, z, range, inverse] = self.arrays;
+        let outputs = x.iter_mut().zip(y).zip(z).zip(range).zip(inverse);
+        for (&[px, py, pz], ((((x, y), z), range), inverse)) in self.points.iter().zip(outputs) {
+            // NaN fails both comparisons.
+            let square = px * px + py * py + pz * pz;
+            let valid = (square > NEAREST_M * NEAREST_M) & (square < f32::MAX);
+            let root = square.sqrt();
+            *x = if valid { px } else { 0.0 };
+            *y = if valid { py } else { 0.0 };
+            *z = if valid { pz } else { 0.0 };
+            *range = if valid { root } else { 0.0 };
+            *inverse = if valid { 1.0 / root } else { 0.0 };
+        }
+    }
+}
+
+/// The bits, less one, of the least range above zero, and the bits of the greatest.
+struct Extent<'a>(&'a [f32]);
+
+impl WithSimd for Extent<'_> {
+    type Output = (u32, u32);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> (u32, u32) {
+        let (mut low, mut high) = (u32::MAX, 0);
+        for range in self.0 {
+            low = low.min(range.to_bits().wrapping_sub(1));
+            high = high.max(range.to_bits());
+        }
+        (low, high)
     }
 }
 

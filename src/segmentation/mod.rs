@@ -25,6 +25,7 @@ mod moments;
 mod morphology;
 mod noise;
 mod noise_estimate;
+mod noise_model;
 mod paper;
 mod residual;
 mod split;

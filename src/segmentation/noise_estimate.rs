@@ -6,7 +6,8 @@
 
 use super::field::Field;
 use super::noise::{RangeNoise, ReadingErrors};
-use pulp::Arch;
+use super::noise_model::{Class, model};
+use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
 /// Variance of a third difference of white noise of unit variance: 1 + 9 + 9 + 1.
@@ -20,8 +21,6 @@ const FAR_KEPT: f64 = 0.35;
 const FAR_KEPT_VARIANCE: f64 = 0.0667;
 /// Ratio of variances beyond which the wider pitch counts.
 const MUCH_LARGER: f64 = 1.7;
-/// Smallest believed standard deviation in metres: what 32-bit points and printed decimals leave.
-const FLOOR_M: f64 = 4e-4;
 /// Smallest standard deviation that is told apart: readings that are rounded may all agree.
 const LEAST_M: f64 = 1e-4;
 /// Classes of range in which the variance is estimated apart.
@@ -33,10 +32,8 @@ const SIZE_SHIFT: u32 = 20;
 const FIRST_SIZE: u32 = (127 - 24) << 3;
 /// Fewest samples that make a class of range count.
 const FEWEST: f64 = 60.0;
-/// About how many samples are taken of a scan: next neighbours, which tell the noise itself, and
-/// those that only tell whether wider pitches differ much.
+/// About how many samples are taken of a scan.
 const SAMPLES: usize = 10_000;
-const FAR_SAMPLES: usize = 5_000;
 /// Widest pitch of the differences that tell how far errors are alike: 2.3°, with four of them less
 /// than most things are wide; and in cells.
 const WIDEST_RAD: f32 = 0.04;
@@ -63,17 +60,7 @@ pub(super) struct NoiseEstimator {
     /// Number and squares of the samples: bins of size, class after class, and one for what does not
     /// count.
     bins: Vec<[f32; 2]>,
-    /// Bins and squares of the samples of one step.
-    filed: Vec<(u32, f32)>,
     classes: Vec<Class>,
-}
-
-/// What one class of range tells.
-#[derive(Clone, Copy, Debug)]
-struct Class {
-    range_m: f64,
-    variance: f64,
-    samples: f64,
 }
 
 /// What each class of range tells, where it has enough samples.
@@ -83,7 +70,6 @@ impl Default for NoiseEstimator {
     fn default() -> Self {
         Self {
             bins: vec![[0.0; 2]; RANGE_CLASSES * SIZE_CLASSES + 1],
-            filed: Vec::new(),
             classes: Vec::with_capacity(RANGE_CLASSES),
         }
     }
@@ -98,18 +84,98 @@ struct Probe {
     kept: f64,
     /// Variance of a standard normal variable that is cut at its `kept` quantile of size.
     kept_variance: f64,
-    /// About how many samples are taken.
-    samples: usize,
 }
 
 impl Probe {
     fn near() -> Self {
-        Self { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE, samples: SAMPLES }
+        Self { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE }
     }
 
     fn far(down: usize, right: usize) -> Self {
         let (kept, kept_variance) = (FAR_KEPT, FAR_KEPT_VARIANCE);
-        Self { down, right, kept, kept_variance, samples: FAR_SAMPLES }
+        Self { down, right, kept, kept_variance }
+    }
+}
+
+/// The class of a difference and its error, in metres or a unit like it.
+trait Filing {
+    fn file(&self, difference: Difference, step: usize) -> (u32, f32);
+}
+
+/// By the range.
+struct ByRange {
+    span: (f32, f32),
+}
+
+impl Filing for ByRange {
+    #[inline(always)]
+    fn file(&self, difference: Difference, _: usize) -> (u32, f32) {
+        (range_class(difference.range, self.span), difference.error_m())
+    }
+}
+
+/// By the slope, from class 1 on, in units of what is known of the noise.
+struct BySlope<'a> {
+    positions: &'a [f32],
+    pitch: usize,
+    span: (f32, f32),
+    /// Standard deviation in each class of range.
+    sigmas: [f32; RANGE_CLASSES],
+}
+
+impl Filing for BySlope<'_> {
+    #[inline(always)]
+    fn file(&self, difference: Difference, step: usize) -> (u32, f32) {
+        let turn = self.positions[step + 3 * self.pitch] - self.positions[step];
+        let slope = difference.first.abs() / turn * difference.range;
+        let sigma = self.sigmas[range_class(difference.range, self.span) as usize];
+        let steepness = slope * difference.range / sigma;
+        let class = ((steepness / FLATTEST).log2().floor().clamp(-1.0, 10.0) + 1.0) as u32;
+        // In a unit that the size classes are made for.
+        let error = difference.error_m() / sigma * ANGLE_UNIT;
+        (if slope > STEEPEST { RANGE_CLASSES as u32 } else { class }, error)
+    }
+}
+
+/// Samples that are filed at a time.
+const FILED: usize = 64;
+
+/// Files the samples of a step; those of cells without a return go beyond all classes.
+struct FileStep<'a, F> {
+    filing: &'a F,
+    step: usize,
+    rows: [&'a [f32]; 4],
+    ranges: &'a [f32],
+    bins: &'a mut [[f32; 2]],
+}
+
+impl<F: Filing> WithSimd for FileStep<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        const BEYOND: u32 = (RANGE_CLASSES * SIZE_CLASSES) as u32;
+        let count = self.ranges.len();
+        // Which bin is found for many samples at once, in arrays that nothing else can be in.
+        let (mut places, mut errors) = ([0; FILED], [0.0; FILED]);
+        for first in (0..count).step_by(FILED) {
+            let part = first..count.min(first + FILED);
+            let [a, b, c, d] = self.rows.map(|row| &row[part.clone()]);
+            let readings = a.iter().zip(b).zip(c).zip(d).zip(&self.ranges[part.clone()]);
+            let filed = places.iter_mut().zip(&mut errors);
+            for ((place, size), ((((&a, &b), &c), &d), &range)) in filed.zip(readings) {
+                let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
+                let difference = Difference { first, third, range };
+                let (class, error) = self.filing.file(difference, self.step);
+                let bin = class * SIZE_CLASSES as u32 + size_class(error);
+                *place = if a * b * c * d == 0.0 { BEYOND } else { bin.min(BEYOND) };
+                *size = error;
+            }
+            for (&place, &error) in places.iter().zip(&errors).take(part.len()) {
+                let bin = &mut self.bins[place as usize];
+                *bin = [bin[0] + 1.0, bin[1] + error * error];
+            }
+        }
     }
 }
 
@@ -125,6 +191,7 @@ struct Difference {
 
 impl Difference {
     /// The third difference as one of ranges, in metres.
+    #[inline(always)]
     fn error_m(&self) -> f32 {
         self.third.abs() * self.range * self.range
     }
@@ -241,16 +308,10 @@ impl NoiseEstimator {
         let sigmas: [f32; RANGE_CLASSES] = std::array::from_fn(|class| {
             model.sigma_m(f64::from(span.0) + (class as f64 + 0.5) / f64::from(span.1)) as f32
         });
-        self.gather(field, [pitch, 0], SAMPLES, |difference, step| {
-            let turn = field.positions[step + 3 * pitch] - field.positions[step];
-            let slope = difference.first.abs() / turn * difference.range;
-            let sigma = sigmas[range_class(difference.range, span)];
-            let steepness = slope * difference.range / sigma;
-            let class = ((steepness / FLATTEST).log2().floor().clamp(-1.0, 10.0) + 1.0) as usize;
-            // In a unit that the size classes are made for.
-            let error = difference.error_m() / sigma * ANGLE_UNIT;
-            (if slope > STEEPEST { RANGE_CLASSES } else { class }, error)
-        });
+        let by_slope = BySlope { positions: &field.positions, pitch, span, sigmas };
+        self.gather(field, [pitch, 0], &by_slope);
+        let all = self.samples(1..RANGE_CLASSES);
+        let fewest = FEWEST.max(LEAST_SHARE * all);
         let mut told = [SlopeClass::default(); RANGE_CLASSES];
         let all = self.samples(1..RANGE_CLASSES);
         let fewest = FEWEST.max(LEAST_SHARE * all);
@@ -270,46 +331,27 @@ impl NoiseEstimator {
     }
 
     /// Takes differences of four readings, `[down, right]` cells apart along and across, and counts the
-    /// size of each in the class that `filed` gives for it and its step; none if it is too high.
-    fn gather(
-        &mut self,
-        field: &Field,
-        [down, right]: [usize; 2],
-        samples: usize,
-        filed: impl Fn(Difference, usize) -> (usize, f32),
-    ) {
+    /// size of each in the class in which it is filed.
+    fn gather(&mut self, field: &Field, [down, right]: [usize; 2], filing: &impl Filing) {
         self.bins.fill([0.0; 2]);
         let lanes = field.lanes;
         let last = lanes.saturating_sub(3 * right);
         if last == 0 {
             return;
         }
-        let steps = (0..field.steps.saturating_sub(3 * down))
-            .step_by((field.len() / samples).max(1));
+        let stride = (field.len() / SAMPLES).max(1);
         let apart = down * lanes + right;
-        self.filed.resize(last, (0, 0.0));
-        let Self { bins, filed: placed, .. } = self;
-        // The first half for many samples at a time, the second one by one.
-        Arch::new().dispatch(|| {
-            for step in steps {
-                let first = step * lanes;
-                let row = |k: usize| &field.inverse[first + k * apart..first + k * apart + last];
-                let rows = [0, 1, 2, 3].map(row);
-                let ranges = &field.range[first + apart..first + apart + last];
-                for (i, placed) in placed.iter_mut().enumerate() {
-                    let [a, b, c, d] = rows.map(|row| row[i]);
-                    let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
-                    let (class, error) = filed(Difference { first, third, range: ranges[i] }, step);
-                    let class = if a * b * c * d == 0.0 { RANGE_CLASSES } else { class };
-                    let bin = (class * SIZE_CLASSES) as u32 + size_class(error);
-                    *placed = (bin.min((RANGE_CLASSES * SIZE_CLASSES) as u32), error * error);
-                }
-                for &(bin, square) in &*placed {
-                    let bin = &mut bins[bin as usize];
-                    *bin = [bin[0] + 1.0, bin[1] + square];
-                }
-            }
-        });
+        for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
+            let first = step * lanes;
+            let row = |k: usize| &field.inverse[first + k * apart..first + k * apart + last];
+            Arch::new().dispatch(FileStep {
+                filing,
+                step,
+                rows: [row(0), row(1), row(2), row(3)],
+                ranges: &field.range[first + apart..first + apart + last],
+                bins: &mut self.bins,
+            });
+        }
     }
 
     /// Samples in classes.
@@ -320,9 +362,7 @@ impl NoiseEstimator {
     /// The variance in each class of range, from the part that the probe keeps and from the part that
     /// is kept of far ones; `span` is the nearest range and classes per metre.
     fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
-        self.gather(field, [probe.down, probe.right], probe.samples, |difference, _| {
-            (range_class(difference.range, span), difference.error_m())
-        });
+        self.gather(field, [probe.down, probe.right], &ByRange { span });
         let (nearest, per_metre) = span;
         let mut told = ([None; RANGE_CLASSES], [None; RANGE_CLASSES]);
         for class in 0..RANGE_CLASSES {
@@ -395,12 +435,12 @@ fn angle_of(told: &[SlopeClass]) -> Option<f64> {
     middle.map(|angle| angle.0).filter(|&angle| angle > 0.0)
 }
 
-fn range_class(range: f32, (nearest, per_metre): (f32, f32)) -> usize {
-    // Of a number that is not small and positive nothing is asked.
-    let class = ((range - nearest) * per_metre).clamp(0.0, RANGE_CLASSES as f32 - 1.0);
-    class as usize
+#[inline(always)]
+fn range_class(range: f32, (nearest, per_metre): (f32, f32)) -> u32 {
+    ((range - nearest) * per_metre).clamp(0.0, RANGE_CLASSES as f32 - 1.0) as i32 as u32
 }
 
+#[inline(always)]
 fn size_class(error: f32) -> u32 {
     let size = (error.to_bits() >> SIZE_SHIFT) as i32 - FIRST_SIZE as i32;
     size.clamp(0, SIZE_CLASSES as i32 - 1) as u32
@@ -435,80 +475,6 @@ fn trimmed_mean(bins: &[[f32; 2]], samples: f64, share: f64) -> f64 {
         }
     }
     sum / (share * samples)
-}
-
-/// The simplest polynomial with non-negative factors that explains the classes.
-///
-/// Least squares of the relative error of the variance, over all subsets of the three terms; each
-/// term has to earn its place. Classes above the model may be clutter, so they pull less.
-fn model(classes: &[Class]) -> RangeNoise {
-    if classes.is_empty() {
-        return RangeNoise::uniform(0.01);
-    }
-    let mut best = (f64::INFINITY, RangeNoise::uniform(0.01));
-    for subset in 1..8_u8 {
-        let Some(noise) = fit_terms(classes, subset) else { continue };
-        let cost: f64 = classes
-            .iter()
-            .map(|class| {
-                let ratio = (class.variance / noise.variance(class.range_m)).ln();
-                // A class of n samples knows its variance to about sqrt(5 / n); no better than 10 %.
-                (ratio * ratio / (5.0 / class.samples + 0.01)).min(25.0)
-            })
-            .sum();
-        let cost = cost + 6.0 * f64::from(subset.count_ones());
-        if cost < best.0 {
-            best = (cost, noise);
-        }
-    }
-    best.1
-}
-
-/// Weighted least squares with the terms of `subset` (bits: constant, square, fourth); `None` where
-/// a factor would be negative or cannot be told.
-fn fit_terms(classes: &[Class], subset: u8) -> Option<RangeNoise> {
-    let mut factors = [0.0; 3];
-    let weights_from = |class: &Class, factors: &[f64; 3]| {
-        let square = class.range_m * class.range_m;
-        let noise = RangeNoise { constant: factors[0], square: factors[1], fourth: factors[2] };
-        let expected = noise.variance(class.range_m);
-        let scale = if expected > 0.0 { expected } else { class.variance };
-        let excess = class.variance / scale;
-        let trust = if excess > 1.5 { 1.5 / excess } else { 1.0 };
-        let weight = trust * class.samples / (scale * scale);
-        (weight, [1.0, square, square * square])
-    };
-    for _ in 0..4 {
-        let mut normal = nalgebra::Matrix3::<f64>::zeros();
-        let mut right = nalgebra::Vector3::<f64>::zeros();
-        for class in classes {
-            let (weight, terms) = weights_from(class, &factors);
-            for i in 0..3 {
-                right[i] += weight * terms[i] * class.variance;
-                for j in 0..3 {
-                    normal[(i, j)] += weight * terms[i] * terms[j];
-                }
-            }
-        }
-        for i in 0..3 {
-            if subset & (1 << i) == 0 {
-                normal.row_mut(i).fill(0.0);
-                normal.column_mut(i).fill(0.0);
-                normal[(i, i)] = 1.0;
-                right[i] = 0.0;
-            }
-        }
-        // The terms differ by orders of magnitude: scale the diagonal to one.
-        let scale = normal.diagonal().map(|d| 1.0 / d.sqrt());
-        let scaled = nalgebra::Matrix3::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
-        let solution = scaled.cholesky()?.solve(&right.component_mul(&scale)).component_mul(&scale);
-        factors = [solution[0], solution[1], solution[2]];
-        if factors.iter().any(|factor| factor.is_nan() || *factor < 0.0) {
-            return None;
-        }
-    }
-    let noise = RangeNoise { constant: factors[0], square: factors[1], fourth: factors[2] };
-    Some(RangeNoise { constant: noise.constant.max(FLOOR_M * FLOOR_M), ..noise })
 }
 
 #[cfg(test)]
