@@ -7,10 +7,10 @@ use super::config::SegmentationConfig;
 use super::field::Field;
 use super::fit::{
     Columns, Fitted, Model, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR, centroid_of,
-    choose, fit_plane, is_flat, plane_of, settle,
+    choose, fit_plane, is_flat, plane_of, settle, settle_known,
 };
 use super::hull::HullFinder;
-use super::moments::Moments;
+use super::stick_chain::Found;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 use nalgebra::{Point2, Point3, Vector3};
 use std::fmt::Write as _;
@@ -52,15 +52,6 @@ pub(super) struct Assembler {
     spare_reasons: Vec<String>,
 }
 
-/// Labels, in field order, 0 for none.
-pub(super) struct Labelled<'a> {
-    pub labels: &'a [u32],
-    /// The sums of each label.
-    pub moments: &'a [Moments],
-    /// Cells, each once, among which are all at which labels meet.
-    pub border: &'a [u32],
-}
-
 /// What the result says of a component.
 #[derive(Clone, Debug)]
 struct FittedRegion {
@@ -70,21 +61,21 @@ struct FittedRegion {
 }
 
 impl Assembler {
-    /// Turns labels into `result`.
+    /// Turns labels (field order, 0 for none) and what was found of them into `result`.
     pub fn assemble(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
-        labelled: Labelled,
+        (labels, found): (&[u32], Found),
         (rows, columns): (usize, usize),
         result: &mut Segmentation,
         observe: &mut dyn FnMut(Stage),
     ) {
         self.recycle(result);
         (result.rows, result.columns) = (rows, columns);
-        self.components.find(labelled.labels, field.lanes);
+        self.components.find(labels, field.lanes);
         self.number_regions(field, config, result);
-        self.fit_regions(field, config, &labelled);
+        self.fit_regions(field, config, labels, &found);
         observe(Stage::Fit);
         self.write_surfaces(field, result);
         self.write_labels(field, result);
@@ -153,15 +144,17 @@ impl Assembler {
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
-        labelled: &Labelled,
+        labels: &[u32],
+        found: &Found,
     ) {
-        self.leave_borders_out(field, labelled.border);
+        self.leave_borders_out(field, found.border);
         self.fitted.clear();
         for k in 0..self.order.len() {
             let (_, component) = self.order[k];
-            let label = labelled.labels[self.middle(component)];
-            let q = labelled.moments[label as usize].solve();
-            let (shape, centroid) = self.fit_region(field, component, config, q);
+            let label = labels[self.middle(component)];
+            let q = found.moments[label as usize].solve();
+            let model = found.models.get(label as usize).and_then(Option::as_ref);
+            let (shape, centroid) = self.fit_region(field, component, config, q, model);
             self.fitted.push(FittedRegion { component, shape, centroid });
         }
     }
@@ -173,13 +166,15 @@ impl Assembler {
         run.map_or(0, |run| usize::midpoint(run.start, run.end))
     }
 
-    /// The shape and the centroid of a component whose plane is about `q · p = 1`.
+    /// The shape and the centroid of a component whose plane is about `q · p = 1`; `model` is what it
+    /// was found to be instead.
     fn fit_region(
         &mut self,
         field: &Field,
         component: usize,
         config: &SegmentationConfig,
         q: [f64; 3],
+        model: Option<&Model>,
     ) -> (Fitted, Vector3<f64>) {
         let cells = self.components.sizes[component];
         let sums = self.sum_up(field, component, q);
@@ -188,6 +183,14 @@ impl Assembler {
             && is_flat(error, cells, &plane, &config.limits, &field.errors)
         {
             return (Fitted::Plane(plane), centroid_of(&sums));
+        }
+        if let Some(model) = model {
+            let cells = self.components.cells(component);
+            gather(field, cells, &self.fit_gain, &mut self.readings);
+            let (limits, errors) = (&config.limits, &field.errors);
+            if let Some(shape) = settle_known(&self.readings, model, limits, errors, error) {
+                return (shape, centroid_of(&sums));
+            }
         }
         match self.choose_shape(field, component, config) {
             Fitted::Plane(plane) => {
@@ -230,7 +233,6 @@ impl Assembler {
         let cell = self.middle(component);
         let anchor = [field.x[cell], field.y[cell], field.z[cell]];
         let q = q.map(|v| v as f32);
-        let mut sums = PlaneSums::new(Reference { q, anchor });
         let columns = Columns {
             x: &field.x,
             y: &field.y,
@@ -239,11 +241,7 @@ impl Assembler {
             gain: &field.gain,
             fit_gain: &self.fit_gain,
         };
-        for run in self.components.runs(component) {
-            sums.add_run(&columns, run);
-        }
-        sums.flush();
-        sums
+        PlaneSums::over(Reference { q, anchor }, columns, self.components.runs(component))
     }
 
     /// The shape of a component that the plane of its label does not explain.
@@ -262,7 +260,7 @@ impl Assembler {
         let axes = candidate_axes(field, cells.clone(), count, belongs);
         let stride = count.div_ceil(TRIAL_CELLS).max(1);
         gather(field, cells.clone().step_by(stride), &self.fit_gain, &mut self.readings);
-        let (chosen, _) = choose(&self.readings, &axes, &config.limits, &field.errors);
+        let (chosen, _) = choose(&mut self.readings, &axes, &config.limits, &field.errors);
         if matches!(chosen, Fitted::Plane(_)) {
             return chosen;
         }
@@ -270,7 +268,7 @@ impl Assembler {
             gather(field, cells, &self.fit_gain, &mut self.readings);
         }
         settle(&self.readings, chosen, &config.limits).unwrap_or_else(|| {
-            fit_plane(&self.readings).map_or(Fitted::Other, |(plane, _)| Fitted::Plane(plane))
+            fit_plane(&mut self.readings).map_or(Fitted::Other, |(plane, _)| Fitted::Plane(plane))
         })
     }
 

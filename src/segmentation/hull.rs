@@ -247,7 +247,8 @@ mod tests {
         let width = 12;
         let cells: Vec<usize> = (0..width * 9)
             .filter(|cell| {
-                let (row, column) = (*cell as f64 / width as f64 - 4.0, (cell % width) as f64 - 5.0);
+                let (row, column) =
+                    (*cell as f64 / width as f64 - 4.0, (cell % width) as f64 - 5.0);
                 (4.0..20.0).contains(&(row * row + column * column)) && column != 1.0
             })
             .collect();
@@ -272,10 +273,8 @@ mod tests {
             .map(|&cell| [f64::from(columns[0][cell]), f64::from(columns[1][cell])])
             .collect();
         finder.find(&flat, &mut expected);
-        let (area, whole) = (
-            crate::geometry::polygon_area(&hull),
-            crate::geometry::polygon_area(&expected),
-        );
+        let (area, whole) =
+            (crate::geometry::polygon_area(&hull), crate::geometry::polygon_area(&expected));
         assert!(whole > 0.1 && (area / whole - 1.0).abs() < 1e-5, "{area} {whole}");
     }
 

@@ -38,7 +38,7 @@ pub use noise::{RangeNoise, ReadingErrors};
 pub use surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 
 use crate::scan::PointGrid;
-use assemble::{Assembler, Labelled};
+use assemble::Assembler;
 use field::Field;
 use noise_estimate::NoiseEstimator;
 use paper::PaperChain;
@@ -145,14 +145,14 @@ impl Segmenter {
             None => self.noise_estimator.estimate(&self.field),
         };
         self.field.set_errors(errors);
-        let (moments, border) = match self.config.method {
+        let found = match self.config.method {
             Method::Paper => self.paper.run(&self.field, &self.config, &mut self.labels, observe),
             Method::Sticks => self.sticks.run(&self.field, &self.config, &mut self.labels, observe),
         };
         self.assembler.assemble(
             &self.field,
             &self.config,
-            Labelled { labels: &self.labels, moments, border },
+            (&self.labels, found),
             (grid.rows(), grid.columns()),
             &mut self.result,
             observe,
