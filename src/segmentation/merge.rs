@@ -59,7 +59,8 @@ impl Merger {
     }
 
     pub fn sort_pairs(&mut self) {
-        self.pairs.sort_unstable();
+        // One comparison of a number for each pair.
+        self.pairs.sort_unstable_by_key(|&(a, b)| u64::from(a) << 32 | u64::from(b));
         self.pairs.dedup();
     }
 

@@ -95,9 +95,10 @@ impl Sticks {
             }
             self.sticks[begin..].reverse();
             for (k, stick) in self.sticks[begin..].iter().enumerate() {
-                let cells = stick.first as usize * lanes + lane..=stick.last as usize * lanes + lane;
-                for cell in cells.step_by(lanes) {
-                    self.of_cell[cell] = (begin + k) as u32;
+                let first = stick.first as usize * lanes + lane;
+                let count = stick.n as usize;
+                for row in self.of_cell[first..].chunks_mut(lanes).take(count) {
+                    row[0] = (begin + k) as u32;
                 }
             }
         }
@@ -165,9 +166,9 @@ impl Sticks {
         let anchor = f64::from(inverse[0]);
         let origin = f64::from(field.positions[first]);
         let (mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0);
-        let readings = inverse.iter().step_by(apart).zip(&field.positions[first..=last]);
-        for (&inverse, &position) in readings {
-            let f = f64::from(inverse) - anchor;
+        let readings = inverse.chunks(apart).zip(&field.positions[first..=last]);
+        for (inverse, &position) in readings {
+            let f = f64::from(inverse[0]) - anchor;
             let t = f64::from(position) - origin;
             f1 += f;
             tf += t * f;
@@ -208,7 +209,7 @@ impl Sticks {
 fn ray_at(field: &Field, lane: usize, first: usize, last: usize, position: f64) -> [f64; 3] {
     let ray = |step: usize| {
         let cell = step * field.lanes + lane;
-        field.point(cell).map(|v| v * f64::from(field.inverse[cell]))
+        [field.x[cell], field.y[cell], field.z[cell]].map(|v| v * field.inverse[cell])
     };
     // Steps are about evenly spaced: the search is short from there.
     let away = (position - f64::from(field.positions[first])) / f64::from(field.along_rad);
@@ -220,10 +221,10 @@ fn ray_at(field: &Field, lane: usize, first: usize, last: usize, position: f64) 
         step += 1;
     }
     if step == last {
-        return ray(step);
+        return ray(step).map(f64::from);
     }
     let (a, b) = (f64::from(field.positions[step]), f64::from(field.positions[step + 1]));
-    let share = ((position - a) / (b - a)).clamp(0.0, 1.0);
+    let share = ((position - a) / (b - a)).clamp(0.0, 1.0) as f32;
     let (u, v) = (ray(step), ray(step + 1));
-    std::array::from_fn(|i| u[i] + share * (v[i] - u[i]))
+    std::array::from_fn(|i| f64::from(u[i] + share * (v[i] - u[i])))
 }
