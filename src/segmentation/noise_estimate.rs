@@ -310,8 +310,6 @@ impl NoiseEstimator {
         });
         let by_slope = BySlope { positions: &field.positions, pitch, span, sigmas };
         self.gather(field, [pitch, 0], &by_slope);
-        let all = self.samples(1..RANGE_CLASSES);
-        let fewest = FEWEST.max(LEAST_SHARE * all);
         let mut told = [SlopeClass::default(); RANGE_CLASSES];
         let all = self.samples(1..RANGE_CLASSES);
         let fewest = FEWEST.max(LEAST_SHARE * all);
