@@ -182,7 +182,9 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u
 /// The labels around a cell; none where there is no cell or no return.
 fn near_labels(labels: &[u32], cell: usize, width: usize) -> [u32; 8] {
     match inner8(cell, width, labels.len()) {
-        Some(around) => around.map(|n| labels[n]),
+        Some([a, b, c, d, e, f, g, h]) => {
+            [labels[a], labels[b], labels[c], labels[d], labels[e], labels[f], labels[g], labels[h]]
+        }
         None => {
             let mut near = [NO_RETURN; 8];
             for (near, n) in near.iter_mut().zip(neighbours8(cell, width, labels.len())) {

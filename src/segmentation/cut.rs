@@ -258,8 +258,8 @@ fn extend<S: Simd>(
     let count = tables.len();
     let (past, costs) = (&past[..count], &costs[..count]);
     let doubted = count.min(DOUBTED);
-    for k in 0..doubted {
-        let Table { back, alpha, beta, gamma, length, mean, inverse_scatter } = tables[k];
+    for (k, table) in tables[..doubted].iter().enumerate() {
+        let Table { back, alpha, beta, gamma, length, mean, inverse_scatter } = *table;
         let at = count - 1 - k;
         for (i, line) in lines.iter_mut().enumerate() {
             line.continue_to(simd, [back, alpha, beta, gamma].map(splat), past[at][i]);
@@ -274,10 +274,10 @@ fn extend<S: Simd>(
             line.offer(simd, costs[at][i], simd.add_f32s(line.error, said), splat(length));
         }
     }
-    for k in doubted..count {
-        let Table { back, alpha, beta, gamma, length, .. } = tables[k];
+    for (k, table) in tables[doubted..].iter().enumerate() {
+        let Table { back, alpha, beta, gamma, length, .. } = *table;
         let shared = [back, alpha, beta, gamma].map(splat);
-        let at = count - 1 - k;
+        let at = count - 1 - doubted - k;
         for (i, line) in lines.iter_mut().enumerate() {
             line.continue_to(simd, shared, past[at][i]);
             line.offer(simd, costs[at][i], line.error, splat(length));

@@ -98,11 +98,12 @@ impl Probe {
 }
 
 /// The class of a difference and its error, in metres or a unit like it.
-trait Filing {
+trait Filing: Copy {
     fn file(&self, difference: Difference, step: usize) -> (u32, f32);
 }
 
 /// By the range.
+#[derive(Clone, Copy)]
 struct ByRange {
     span: (f32, f32),
 }
@@ -115,6 +116,7 @@ impl Filing for ByRange {
 }
 
 /// By the slope, from class 1 on, in units of what is known of the noise.
+#[derive(Clone, Copy)]
 struct BySlope<'a> {
     positions: &'a [f32],
     pitch: usize,
@@ -142,7 +144,7 @@ const FILED: usize = 64;
 
 /// Files the samples of a step; those of cells without a return go beyond all classes.
 struct FileStep<'a, F> {
-    filing: &'a F,
+    filing: F,
     step: usize,
     rows: [&'a [f32]; 4],
     ranges: &'a [f32],
@@ -155,24 +157,26 @@ impl<F: Filing> WithSimd for FileStep<'_, F> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         const BEYOND: u32 = (RANGE_CLASSES * SIZE_CLASSES) as u32;
-        let count = self.ranges.len();
+        let Self { filing, step, rows: [a, b, c, d], ranges, bins } = self;
+        let count = ranges.len();
         // Which bin is found for many samples at once, in arrays that nothing else can be in.
         let (mut places, mut errors) = ([0; FILED], [0.0; FILED]);
         for first in (0..count).step_by(FILED) {
             let part = first..count.min(first + FILED);
-            let [a, b, c, d] = self.rows.map(|row| &row[part.clone()]);
-            let readings = a.iter().zip(b).zip(c).zip(d).zip(&self.ranges[part.clone()]);
+            let (a, b) = (&a[part.clone()], &b[part.clone()]);
+            let (c, d) = (&c[part.clone()], &d[part.clone()]);
+            let readings = a.iter().zip(b).zip(c).zip(d).zip(&ranges[part.clone()]);
             let filed = places.iter_mut().zip(&mut errors);
             for ((place, size), ((((&a, &b), &c), &d), &range)) in filed.zip(readings) {
                 let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
                 let difference = Difference { first, third, range };
-                let (class, error) = self.filing.file(difference, self.step);
+                let (class, error) = filing.file(difference, step);
                 let bin = class * SIZE_CLASSES as u32 + size_class(error);
                 *place = if a * b * c * d == 0.0 { BEYOND } else { bin.min(BEYOND) };
                 *size = error;
             }
             for (&place, &error) in places.iter().zip(&errors).take(part.len()) {
-                let bin = &mut self.bins[place as usize];
+                let bin = &mut bins[place as usize];
                 *bin = [bin[0] + 1.0, bin[1] + error * error];
             }
         }
@@ -309,7 +313,7 @@ impl NoiseEstimator {
             model.sigma_m(f64::from(span.0) + (class as f64 + 0.5) / f64::from(span.1)) as f32
         });
         let by_slope = BySlope { positions: &field.positions, pitch, span, sigmas };
-        self.gather(field, [pitch, 0], &by_slope);
+        self.gather(field, [pitch, 0], by_slope);
         let mut told = [SlopeClass::default(); RANGE_CLASSES];
         let all = self.samples(1..RANGE_CLASSES);
         let fewest = FEWEST.max(LEAST_SHARE * all);
@@ -330,7 +334,7 @@ impl NoiseEstimator {
 
     /// Takes differences of four readings, `[down, right]` cells apart along and across, and counts the
     /// size of each in the class in which it is filed.
-    fn gather(&mut self, field: &Field, [down, right]: [usize; 2], filing: &impl Filing) {
+    fn gather(&mut self, field: &Field, [down, right]: [usize; 2], filing: impl Filing) {
         self.bins.fill([0.0; 2]);
         let lanes = field.lanes;
         let last = lanes.saturating_sub(3 * right);
@@ -360,7 +364,7 @@ impl NoiseEstimator {
     /// The variance in each class of range, from the part that the probe keeps and from the part that
     /// is kept of far ones; `span` is the nearest range and classes per metre.
     fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
-        self.gather(field, [probe.down, probe.right], &ByRange { span });
+        self.gather(field, [probe.down, probe.right], ByRange { span });
         let (nearest, per_metre) = span;
         let mut told = ([None; RANGE_CLASSES], [None; RANGE_CLASSES]);
         for class in 0..RANGE_CLASSES {
@@ -435,7 +439,10 @@ fn angle_of(told: &[SlopeClass]) -> Option<f64> {
 
 #[inline(always)]
 fn range_class(range: f32, (nearest, per_metre): (f32, f32)) -> u32 {
-    ((range - nearest) * per_metre).clamp(0.0, RANGE_CLASSES as f32 - 1.0) as i32 as u32
+    let class = ((range - nearest) * per_metre - 0.5).clamp(0.0, RANGE_CLASSES as f32 - 1.0);
+    // At this size the last bit of a number is one: the nearest whole number, without a conversion,
+    // which would be made one by one.
+    (class + 8_388_608.0).to_bits() & 0xf
 }
 
 #[inline(always)]

@@ -14,6 +14,8 @@ const IMPERFECT: f64 = 0.05;
 /// mean square error for which that holds: beyond it errors may be cut.
 const BENT: f64 = 0.3;
 const MOST_BENT: f64 = 4.0;
+/// Length, in radii of its cylinder, from which on a drum is no ball: two, and what noise adds.
+const LONGEST_BALL: f64 = 2.5;
 /// What a curved surface has more parameters than.
 const PLANE_PARAMETERS: f64 = 3.0;
 
@@ -77,7 +79,12 @@ pub(in super::super) fn settle_known(
 ) -> Option<Fitted> {
     // Few readings of a ball pass for a drum's.
     let ball = match model {
-        Model::Cylinder { .. } => fit_sphere(readings, limits.max_radius_m)
+        Model::Cylinder { axis, radius_m, .. } => Some(readings)
+            .filter(|readings| {
+                let (low, high) = heights(readings, axis);
+                high - low < LONGEST_BALL * radius_m
+            })
+            .and_then(|readings| fit_sphere(readings, limits.max_radius_m))
             .filter(|sphere| sphere_is_seen(readings, sphere, limits))
             .map(|sphere| sphere.model()),
         Model::Plane { .. } | Model::Sphere { .. } => None,
@@ -241,12 +248,17 @@ fn cylinder_is_seen(readings: &Readings, cylinder: &CylinderFit, limits: &ShapeL
     left * 50 >= readings.len() && right * 50 >= readings.len()
 }
 
+/// Least and greatest coordinate of the readings along an axis.
+fn heights(readings: &Readings, axis: &Vector3<f64>) -> (f64, f64) {
+    let heights = readings.points.iter().map(|p| axis.dot(p));
+    heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)))
+}
+
 /// The cylinder with the extent of the readings along its axis.
 fn bounded(readings: &Readings, cylinder: CylinderFit) -> Fitted {
     let CylinderFit { foot, axis, radius_m, covariance } = cylinder;
-    let heights = readings.points.iter().map(|p| axis.dot(&(p - foot)));
-    let (low, high) =
-        heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let (low, high) = heights(readings, &axis);
+    let (low, high) = (low - axis.dot(&foot), high - axis.dot(&foot));
     let middle = 0.5 * (low + high);
     // The offset at the middle is that at the foot and what the tilt adds on the way.
     let mut at_middle = Matrix5::identity();
