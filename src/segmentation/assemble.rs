@@ -2,16 +2,15 @@
 
 use super::Stage;
 use super::axes::candidate_axes;
-use super::borders::Borders;
 use super::components::{Components, NONE};
 use super::config::SegmentationConfig;
 use super::field::Field;
 use super::fit::{
     Columns, Fitted, Model, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR, centroid_of,
-    choose, fit_plane, is_flat, plane_of, settle,
+    choose, fit_plane, is_flat, plane_of, settle, settle_known,
 };
 use super::hull::HullFinder;
-use super::moments::Moments;
+use super::stick_chain::Found;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 use nalgebra::{Point2, Point3, Vector3};
 use std::fmt::Write as _;
@@ -40,7 +39,6 @@ const LEAST_CORE_SHARE: f64 = 0.3;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assembler {
     components: Components,
-    borders: Borders,
     border: Vec<u32>,
     /// Cells at a border, one count for each component.
     border_cells: Vec<usize>,
@@ -63,12 +61,12 @@ struct FittedRegion {
 }
 
 impl Assembler {
-    /// Turns `labels` (field order, 0 for none) into `result`; `moments` stand at their label.
+    /// Turns labels (field order, 0 for none) and what was found of them into `result`.
     pub fn assemble(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
-        (labels, moments): (&[u32], &[Moments]),
+        (labels, found): (&[u32], Found),
         (rows, columns): (usize, usize),
         result: &mut Segmentation,
         observe: &mut dyn FnMut(Stage),
@@ -77,7 +75,7 @@ impl Assembler {
         (result.rows, result.columns) = (rows, columns);
         self.components.find(labels, field.lanes);
         self.number_regions(field, config, result);
-        self.fit_regions(field, config, labels, moments);
+        self.fit_regions(field, config, labels, &found);
         observe(Stage::Fit);
         self.write_surfaces(field, result);
         self.write_labels(field, result);
@@ -147,15 +145,16 @@ impl Assembler {
         field: &Field,
         config: &SegmentationConfig,
         labels: &[u32],
-        moments: &[Moments],
+        found: &Found,
     ) {
-        self.leave_borders_out(field);
+        self.leave_borders_out(field, found.border);
         self.fitted.clear();
         for k in 0..self.order.len() {
             let (_, component) = self.order[k];
             let label = labels[self.middle(component)];
-            let q = moments[label as usize].solve();
-            let (shape, centroid) = self.fit_region(field, component, config, q);
+            let q = found.moments[label as usize].solve();
+            let model = found.models.get(label as usize).and_then(Option::as_ref);
+            let (shape, centroid) = self.fit_region(field, component, config, q, model);
             self.fitted.push(FittedRegion { component, shape, centroid });
         }
     }
@@ -167,13 +166,15 @@ impl Assembler {
         run.map_or(0, |run| usize::midpoint(run.start, run.end))
     }
 
-    /// The shape and the centroid of a component whose plane is about `q · p = 1`.
+    /// The shape and the centroid of a component whose plane is about `q · p = 1`; `model` is what it
+    /// was found to be instead.
     fn fit_region(
         &mut self,
         field: &Field,
         component: usize,
         config: &SegmentationConfig,
         q: [f64; 3],
+        model: Option<&Model>,
     ) -> (Fitted, Vector3<f64>) {
         let cells = self.components.sizes[component];
         let sums = self.sum_up(field, component, q);
@@ -182,6 +183,14 @@ impl Assembler {
             && is_flat(error, cells, &plane, &config.limits, &field.errors)
         {
             return (Fitted::Plane(plane), centroid_of(&sums));
+        }
+        if let Some(model) = model {
+            let cells = self.components.cells(component);
+            gather(field, cells, &self.fit_gain, &mut self.readings);
+            let (limits, errors) = (&config.limits, &field.errors);
+            if let Some(shape) = settle_known(&self.readings, model, limits, errors, error) {
+                return (shape, centroid_of(&sums));
+            }
         }
         match self.choose_shape(field, component, config) {
             Fitted::Plane(plane) => {
@@ -196,15 +205,15 @@ impl Assembler {
 
     /// Takes the gains of the cells at borders to other regions away: which region they belong to
     /// was decided by their error, so they would bias a fit. Small regions keep theirs.
-    fn leave_borders_out(&mut self, field: &Field) {
+    fn leave_borders_out(&mut self, field: &Field, border: &[u32]) {
         let of_cell = &self.components.of_cell;
-        self.borders.find(of_cell, field.lanes, &mut self.border);
         self.border_cells.clear();
         self.border_cells.resize(self.components.len(), 0);
         let components = &self.components;
-        self.border.retain(|&cell| {
+        self.border.clear();
+        self.border.extend(border.iter().filter(|&&cell| {
             of_cell[cell as usize] != NONE && !components.is_core(cell as usize, field)
-        });
+        }));
         for &cell in &self.border {
             self.border_cells[of_cell[cell as usize] as usize] += 1;
         }
@@ -224,7 +233,6 @@ impl Assembler {
         let cell = self.middle(component);
         let anchor = [field.x[cell], field.y[cell], field.z[cell]];
         let q = q.map(|v| v as f32);
-        let mut sums = PlaneSums::new(Reference { q, anchor });
         let columns = Columns {
             x: &field.x,
             y: &field.y,
@@ -233,11 +241,7 @@ impl Assembler {
             gain: &field.gain,
             fit_gain: &self.fit_gain,
         };
-        for run in self.components.runs(component) {
-            sums.add_run(&columns, run);
-        }
-        sums.flush();
-        sums
+        PlaneSums::over(Reference { q, anchor }, columns, self.components.runs(component))
     }
 
     /// The shape of a component that the plane of its label does not explain.
@@ -256,7 +260,7 @@ impl Assembler {
         let axes = candidate_axes(field, cells.clone(), count, belongs);
         let stride = count.div_ceil(TRIAL_CELLS).max(1);
         gather(field, cells.clone().step_by(stride), &self.fit_gain, &mut self.readings);
-        let (chosen, _) = choose(&self.readings, &axes, &config.limits, &field.errors);
+        let (chosen, _) = choose(&mut self.readings, &axes, &config.limits, &field.errors);
         if matches!(chosen, Fitted::Plane(_)) {
             return chosen;
         }
@@ -264,7 +268,7 @@ impl Assembler {
             gather(field, cells, &self.fit_gain, &mut self.readings);
         }
         settle(&self.readings, chosen, &config.limits).unwrap_or_else(|| {
-            fit_plane(&self.readings).map_or(Fitted::Other, |(plane, _)| Fitted::Plane(plane))
+            fit_plane(&mut self.readings).map_or(Fitted::Other, |(plane, _)| Fitted::Plane(plane))
         })
     }
 
@@ -286,7 +290,8 @@ impl Assembler {
                     let mut hull = self.spare_hulls.pop().unwrap_or_else(fresh);
                     let points = [&field.x[..], &field.y, &field.z];
                     let runs = self.components.runs(component);
-                    self.hull.find_in_runs(points, runs, &grid_from_plane, &mut hull);
+                    let width = field.lanes;
+                    self.hull.find_in_runs(points, width, runs, &grid_from_plane, &mut hull);
                     if square_m2 > (THICKEST * across_m(&hull)).powi(2) {
                         self.spare_hulls.push(hull);
                         (Shape::Other, square_m2)

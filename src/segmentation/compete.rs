@@ -7,7 +7,7 @@
 use super::borders::Borders;
 use super::field::Field;
 use super::fit::Model;
-use super::morphology::neighbours8;
+use super::morphology::{inner8, neighbours8};
 use nalgebra::Vector3;
 
 /// Squared error, in units of the noise, at which a cell is better left without a label.
@@ -142,15 +142,9 @@ impl Competition {
 /// The label at which a cell costs least.
 fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u32 {
     let own = labels[cell];
-    let mut near = [NO_RETURN; 8];
-    let mut around = 0;
-    let mut agree = 0;
-    for n in neighbours8(cell, field.lanes, field.len()) {
-        near[around & 7] = labels[n];
-        around += usize::from(labels[n] != NO_RETURN);
-        agree += usize::from(labels[n] == own);
-    }
-    let near = &near[..around];
+    let near = near_labels(labels, cell, field.lanes);
+    let count = |label: u32| near.iter().map(|&l| u32::from(l == label)).sum::<u32>();
+    let (around, agree) = (8 - count(NO_RETURN), count(own));
     let error = |label: u32| {
         if label == 0 {
             UNEXPLAINED
@@ -160,16 +154,15 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u
             e * e
         }
     };
-    let cost = |error: f32, votes: usize| error + DISAGREEMENT * (around - votes) as f32;
+    let cost = |error: f32, votes: u32| error + DISAGREEMENT * (around - votes) as f32;
     let kept = cost(error(own), agree) - LEAST_GAIN;
     // Another label has an error of zero at best, and at most the votes that are left.
     if kept <= cost(0.0, around - agree) {
         return own;
     }
     let mut best = (kept, own);
-    let votes = |label: u32| near.iter().filter(|&&l| l == label).count();
     let mut try_label = |label: u32| {
-        let cost = cost(error(label), votes(label));
+        let cost = cost(error(label), count(label));
         if cost < best.0 {
             best = (cost, label);
         }
@@ -178,9 +171,26 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u
         try_label(0);
     }
     for (i, &label) in near.iter().enumerate() {
-        if label != own && label != 0 && !near[..i].contains(&label) {
+        let fresh = label != own && label != 0 && label != NO_RETURN;
+        if fresh && !near[..i].contains(&label) {
             try_label(label);
         }
     }
     best.1
+}
+
+/// The labels around a cell; none where there is no cell or no return.
+fn near_labels(labels: &[u32], cell: usize, width: usize) -> [u32; 8] {
+    match inner8(cell, width, labels.len()) {
+        Some([a, b, c, d, e, f, g, h]) => {
+            [labels[a], labels[b], labels[c], labels[d], labels[e], labels[f], labels[g], labels[h]]
+        }
+        None => {
+            let mut near = [NO_RETURN; 8];
+            for (near, n) in near.iter_mut().zip(neighbours8(cell, width, labels.len())) {
+                *near = labels[n];
+            }
+            near
+        }
+    }
 }

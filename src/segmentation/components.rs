@@ -1,7 +1,7 @@
 //! Labels to regions: each 8-connected component of equal labels is a region of its own.
 
 use super::field::Field;
-use super::morphology::neighbours8;
+use super::morphology::{inner8, neighbours8};
 use std::ops::Range;
 
 /// The components of a label image, as runs of cells.
@@ -41,7 +41,10 @@ impl Components {
     }
 
     /// The runs of successive cells of a component, in order.
-    pub fn runs(&self, component: usize) -> impl Iterator<Item = Range<usize>> + Clone + '_ {
+    pub fn runs(
+        &self,
+        component: usize,
+    ) -> impl DoubleEndedIterator<Item = Range<usize>> + Clone + '_ {
         let runs = &self.sorted[self.starts[component]..self.starts[component + 1]];
         runs.iter().map(|&(first, end)| first as usize..end as usize)
     }
@@ -158,8 +161,11 @@ impl Components {
     /// Whether a cell has no valid neighbour of another component.
     pub fn is_core(&self, cell: usize, field: &Field) -> bool {
         let component = self.of_cell[cell];
-        neighbours8(cell, field.lanes, field.len())
-            .all(|n| self.of_cell[n] == component || !field.is_valid(n))
+        let same = |n: usize| (self.of_cell[n] == component) | !field.is_valid(n);
+        match inner8(cell, field.lanes, field.len()) {
+            Some(around) => around.into_iter().all(same),
+            None => neighbours8(cell, field.lanes, field.len()).all(same),
+        }
     }
 }
 

@@ -8,8 +8,8 @@
 use super::config::ShapeLimits;
 use super::facets::Facets;
 use super::field::Field;
-use super::fit::{Model, Readings, fit_cylinder, fit_sphere, settle_model};
-use super::grow::{Grower, neighbours};
+use super::fit::{Model, Readings, improve_model, settle_model};
+use super::grow::Grower;
 use super::noise::ReadingErrors;
 use super::sticks::{Stick, Sticks};
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
@@ -64,7 +64,6 @@ pub(super) struct CurveFinder {
     readings: Readings,
     set: Vec<u32>,
     in_set: Vec<bool>,
-    near: Vec<u32>,
     shares: Vec<(u32, f64)>,
     bounds: Vec<usize>,
     kept: Vec<bool>,
@@ -99,7 +98,7 @@ impl CurveFinder {
                 continue;
             }
             if let Some((model, facets)) = self.best_guess(sticks, grower, a, b, limits) {
-                self.pursue(field, sticks, grower, facets, model, limits);
+                self.pursue(sticks, grower, facets, model, limits);
             }
         }
     }
@@ -257,7 +256,6 @@ impl CurveFinder {
     /// Grows a guess and installs it if it is worth its price.
     fn pursue(
         &mut self,
-        field: &Field,
         sticks: &Sticks,
         grower: &mut Grower,
         facets: [u32; 3],
@@ -266,7 +264,7 @@ impl CurveFinder {
     ) {
         let mut before = 0;
         for _ in 0..ROUNDS {
-            self.grow(field, sticks, grower, facets, &model);
+            self.grow(sticks, grower, facets, &model);
             if self.set.len() == before {
                 break;
             }
@@ -275,13 +273,7 @@ impl CurveFinder {
             for &s in &self.set {
                 push_stick(&mut self.readings, &sticks.sticks[s as usize], &self.trust);
             }
-            let refined = match &model {
-                Model::Sphere { .. } => fit_sphere(&self.readings).map(|fit| fit.model()),
-                Model::Cylinder { axis, .. } => {
-                    fit_cylinder(&self.readings, &[*axis]).map(|fit| fit.model())
-                }
-                Model::Plane { .. } => None,
-            };
+            let refined = improve_model(&self.readings, &model);
             let Some(refined) = refined else { return };
             model = refined;
         }
@@ -298,14 +290,7 @@ impl CurveFinder {
     }
 
     /// The connected sticks that fit a model, from the sticks of the facets on.
-    fn grow(
-        &mut self,
-        field: &Field,
-        sticks: &Sticks,
-        grower: &Grower,
-        facets: [u32; 3],
-        model: &Model,
-    ) {
+    fn grow(&mut self, sticks: &Sticks, grower: &Grower, facets: [u32; 3], model: &Model) {
         self.set.clear();
         let mut readings = 0.0;
         for facet in facets {
@@ -325,8 +310,7 @@ impl CurveFinder {
         while at < self.set.len() {
             let stick = self.set[at];
             at += 1;
-            neighbours(field, sticks, stick, &mut self.near);
-            for &s in &self.near {
+            for s in sticks.near(stick) {
                 let region = grower.region_of[s as usize];
                 let owner = grower.regions[region as usize].moments.n;
                 let other = &sticks.sticks[s as usize];

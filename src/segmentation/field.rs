@@ -8,11 +8,14 @@
 
 use super::noise::ReadingErrors;
 use crate::scan::PointGrid;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Nearer points than this are the zeros that some drivers give for "no return", in metres.
 const NEAREST_M: f32 = 1e-3;
 /// Share of the greatest range from which on a return may be a saturated reading.
 const SATURATED: f32 = 0.9985;
+/// Fewest saturated readings that are believed to be some.
+const FEWEST_SATURATED: u32 = 32;
 /// Angle over which slopes are told, and the steepest that is believed, in ranges per radian.
 const SLOPE_RAD: f32 = 0.03;
 const STEEPEST: f32 = 10.0;
@@ -46,6 +49,7 @@ pub(super) struct Field {
     /// Range over its standard deviation; zero where there is no return.
     pub gain: Vec<f32>,
     samples: Vec<f32>,
+    turned: Vec<[f32; 3]>,
 }
 
 impl Field {
@@ -128,11 +132,16 @@ impl Field {
         let points = grid.points();
         if self.transposed {
             (self.steps, self.lanes) = (columns, rows);
-            self.fill((0..columns).flat_map(|c| (0..rows).map(move |r| points[r * columns + c])));
+            self.turned.clear();
+            self.turned
+                .extend((0..columns).flat_map(|c| (0..rows).map(move |r| points[r * columns + c])));
+            let turned = std::mem::take(&mut self.turned);
+            self.fill(&turned);
+            self.turned = turned;
             (self.along_rad, self.across_rad) = (right, down);
         } else {
             (self.steps, self.lanes) = (rows, columns);
-            self.fill(points.iter().copied());
+            self.fill(points);
             (self.along_rad, self.across_rad) = (down, right);
         }
         if !self.along_rad.is_finite() {
@@ -145,25 +154,22 @@ impl Field {
         self.measure_positions();
     }
 
-    fn fill(&mut self, points: impl Iterator<Item = [f32; 3]>) {
+    fn fill(&mut self, points: &[[f32; 3]]) {
         let length = self.len();
         for array in [&mut self.x, &mut self.y, &mut self.z, &mut self.range, &mut self.inverse] {
             array.resize(length, 0.0);
         }
-        let arrays = self.x.iter_mut().zip(&mut self.y).zip(&mut self.z).zip(&mut self.range);
-        for ((((x, y), z), range), point) in arrays.zip(points) {
-            let [px, py, pz] = point;
-            // NaN fails both comparisons.
-            let square = px * px + py * py + pz * pz;
-            let valid = square > NEAREST_M * NEAREST_M && square < f32::MAX;
-            (*x, *y, *z, *range) = if valid { (px, py, pz, square) } else { (0.0, 0.0, 0.0, 0.0) };
-        }
-        // Roots and quotients on their own, several at a time.
-        for (range, inverse) in self.range.iter_mut().zip(&mut self.inverse) {
-            let root = range.sqrt();
-            *inverse = if root > 0.0 { 1.0 / root } else { 0.0 };
-            *range = root;
-        }
+        let Self { x, y, z, range, inverse, .. } = self;
+        Arch::new().dispatch(Fill { points: &points[..length], arrays: [x, y, z, range, inverse] });
+    }
+
+    /// Ranges of the nearest and of the farthest return.
+    pub fn extent(&self) -> [f32; 2] {
+        // Positive numbers are in the order of their bits, which can be compared many at a time; with
+        // one less of them a range of none is beyond all.
+        let (low, high) = Arch::new().dispatch(Extent(&self.range));
+        let nearest = if low == u32::MAX { f32::MAX } else { f32::from_bits(low + 1) };
+        [nearest, f32::from_bits(high)]
     }
 
     /// Takes readings at the scanner's limit out.
@@ -173,12 +179,16 @@ impl Field {
     /// acos(1 / 1.0015) = 3.1° of its foot: the mean of their directions is nearly of unit length.
     fn drop_saturated(&mut self) {
         self.saturated = 0;
-        let greatest = self.range.iter().fold(0.0, |m, &r| if r > m { r } else { m });
-        let limit = SATURATED * greatest;
+        let [_, greatest] = self.extent();
+        let limit = (SATURATED * greatest).max(f32::MIN_POSITIVE);
+        let near: u32 = self.range.iter().map(|&range| u32::from(range >= limit)).sum();
+        if near < FEWEST_SATURATED {
+            return;
+        }
         let mut sum = [0.0_f64; 3];
         let mut count = 0_usize;
         for cell in 0..self.len() {
-            if self.range[cell] >= limit && self.range[cell] > 0.0 {
+            if self.range[cell] >= limit {
                 let scale = f64::from(self.inverse[cell]);
                 for (sum, value) in sum.iter_mut().zip(self.point(cell)) {
                     *sum += value * scale;
@@ -187,7 +197,7 @@ impl Field {
             }
         }
         let length = sum.iter().map(|s| s * s).sum::<f64>().sqrt();
-        if count < 32 || length > 0.998 * count as f64 {
+        if length > 0.998 * count as f64 {
             return;
         }
         for cell in 0..self.len() {
@@ -229,6 +239,50 @@ impl Field {
             [self.x[a], self.y[a], self.z[a]].map(|v| v * self.inverse[a]),
             [self.x[b], self.y[b], self.z[b]].map(|v| v * self.inverse[b]),
         )
+    }
+}
+
+/// Points into arrays of x, y, z, ranges and inverse ranges of their length.
+struct Fill<'a> {
+    points: &'a [[f32; 3]],
+    arrays: [&'a mut [f32]; 5],
+}
+
+impl WithSimd for Fill<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let [x, y, z, range, inverse] = self.arrays;
+        let outputs = x.iter_mut().zip(y).zip(z).zip(range).zip(inverse);
+        for (&[px, py, pz], ((((x, y), z), range), inverse)) in self.points.iter().zip(outputs) {
+            // NaN fails both comparisons.
+            let square = px * px + py * py + pz * pz;
+            let valid = (square > NEAREST_M * NEAREST_M) & (square < f32::MAX);
+            let root = square.sqrt();
+            *x = if valid { px } else { 0.0 };
+            *y = if valid { py } else { 0.0 };
+            *z = if valid { pz } else { 0.0 };
+            *range = if valid { root } else { 0.0 };
+            *inverse = if valid { 1.0 / root } else { 0.0 };
+        }
+    }
+}
+
+/// The bits, less one, of the least range above zero, and the bits of the greatest.
+struct Extent<'a>(&'a [f32]);
+
+impl WithSimd for Extent<'_> {
+    type Output = (u32, u32);
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> (u32, u32) {
+        let (mut low, mut high) = (u32::MAX, 0);
+        for range in self.0 {
+            low = low.min(range.to_bits().wrapping_sub(1));
+            high = high.max(range.to_bits());
+        }
+        (low, high)
     }
 }
 

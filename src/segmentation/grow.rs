@@ -3,19 +3,18 @@
 //! A region is its [`Moments`]; taking a stick in is an addition, and the test whether it fits knows
 //! how well the plane is known so far.
 
+use super::cut::LONGEST;
 use super::field::Field;
 use super::merge::Merger;
 use super::moments::Moments;
 use super::noise::ReadingErrors;
-use super::sticks::{LONGEST, NO_STICK, Stick, Sticks};
+use super::sticks::{Stick, Sticks};
 
 /// Gate of the growth in standard deviations of what is being compared.
 const GATE: f64 = 3.0;
 /// Deviation that is always allowed, in standard deviations of one reading: surfaces and sensors
 /// have errors that do not average out.
 const SLACK: f64 = 0.5;
-/// Most cells without a return between two sticks of a lane that are still neighbours.
-const BRIDGED: u32 = 2;
 /// Error of a seed's plane, over its three degrees of freedom, beyond which it is none.
 const SEED_ERROR: f64 = 16.0;
 /// Gate of the growth, in standard deviations of one reading, beyond which the plane is not known
@@ -58,6 +57,10 @@ impl Plane {
         let unit = 2.0 * stick.weight / stick.n;
         stick.ends.iter().all(|&[x, y, z]| {
             let deviation = self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0;
+            // No gate lets this pass.
+            if deviation * deviation * unit >= WIDEST_GATE * WIDEST_GATE {
+                return false;
+            }
             let known =
                 xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
             // Each end stands for half the readings.
@@ -81,7 +84,6 @@ pub(super) struct Grower {
     pub regions: Vec<Region>,
     order: Vec<u32>,
     front: Vec<u32>,
-    near: Vec<u32>,
     moments: Vec<Moments>,
     pub merger: Merger,
 }
@@ -134,10 +136,7 @@ impl Grower {
 
     /// Starts a region from a stick and the sticks that overlap it most on the lanes beside it.
     fn try_seed(&mut self, field: &Field, sticks: &Sticks, seed: u32, sides: Sides) {
-        let lane = sticks.sticks[seed as usize].lane as usize;
-        let left = lane.checked_sub(1).and_then(|l| self.best_overlap(field, sticks, seed, l));
-        let right = Some(lane + 1).filter(|&l| l < field.lanes);
-        let right = right.and_then(|l| self.best_overlap(field, sticks, seed, l));
+        let [left, right] = [0, 1].map(|side| self.best_overlap(sticks, seed, side));
         let members = match sides {
             Sides::Both if left.is_some() && right.is_some() => [left, Some(seed), right],
             Sides::Either => {
@@ -182,9 +181,7 @@ impl Grower {
         while at < self.front.len() {
             let stick = self.front[at];
             at += 1;
-            let mut near = std::mem::take(&mut self.near);
-            neighbours(field, sticks, stick, &mut near);
-            for &s in &near {
+            for s in sticks.near(stick) {
                 let other = &sticks.sticks[s as usize];
                 if self.region_of[s as usize] == 0 && region.plane.fits(other, &field.errors) {
                     self.region_of[s as usize] = label;
@@ -198,7 +195,6 @@ impl Grower {
                     }
                 }
             }
-            self.near = near;
         }
         region.plane = Plane::of(&region.moments);
     }
@@ -209,8 +205,7 @@ impl Grower {
         for s in 0..sticks.sticks.len() as u32 {
             let region = self.region_of[s as usize];
             if region != 0 {
-                neighbours(field, sticks, s, &mut self.near);
-                for &other in &self.near {
+                for other in sticks.near_after(s) {
                     self.merger.push_pair(region, self.region_of[other as usize]);
                 }
             }
@@ -224,15 +219,14 @@ impl Grower {
                 *region = Region { moments: *moments, plane: Plane::of(moments) };
             }
         }
-        for region in &mut self.region_of {
-            *region = self.merger.root(*region);
-        }
+        self.merger.follow(&mut self.region_of);
     }
 
-    fn best_overlap(&self, field: &Field, sticks: &Sticks, stick: u32, lane: usize) -> Option<u32> {
+    /// The free stick beside a stick that most of it touches.
+    fn best_overlap(&self, sticks: &Sticks, stick: u32, side: usize) -> Option<u32> {
         let here = &sticks.sticks[stick as usize];
         let mut best = (0, None);
-        for s in ids_beside(field, sticks, here, lane) {
+        for s in sticks.beside(stick)[side].clone() {
             let other = &sticks.sticks[s as usize];
             let low = here.first.max(other.first);
             let overlap = (here.last.min(other.last) + 1).saturating_sub(low);
@@ -241,42 +235,5 @@ impl Grower {
             }
         }
         best.1
-    }
-}
-
-/// The sticks of a lane that touch a stick of the next, corners included.
-fn ids_beside(field: &Field, sticks: &Sticks, here: &Stick, lane: usize) -> std::ops::Range<u32> {
-    let id = |step: u32| sticks.of_cell[step as usize * field.lanes + lane];
-    let (low, high) = (here.first.saturating_sub(1), (here.last + 1).min(field.steps as u32 - 1));
-    let first = (low..=high).map(id).find(|&s| s != NO_STICK);
-    let last = (low..=high).rev().map(id).find(|&s| s != NO_STICK);
-    match (first, last) {
-        (Some(first), Some(last)) => first..last + 1,
-        _ => 0..0,
-    }
-}
-
-/// All sticks that touch a stick, in order of lanes, then steps.
-pub(super) fn neighbours(field: &Field, sticks: &Sticks, stick: u32, near: &mut Vec<u32>) {
-    near.clear();
-    let here = &sticks.sticks[stick as usize];
-    let lane = here.lane as usize;
-    if lane > 0 {
-        near.extend(ids_beside(field, sticks, here, lane - 1));
-    }
-    if let Some(before) = stick.checked_sub(1) {
-        let other = &sticks.sticks[before as usize];
-        if other.lane == here.lane && here.first - other.last <= BRIDGED + 1 {
-            near.push(before);
-        }
-    }
-    if let Some(other) = sticks.sticks.get(stick as usize + 1)
-        && other.lane == here.lane
-        && other.first - here.last <= BRIDGED + 1
-    {
-        near.push(stick + 1);
-    }
-    if lane + 1 < field.lanes {
-        near.extend(ids_beside(field, sticks, here, lane + 1));
     }
 }

@@ -2,19 +2,20 @@
 
 use nalgebra::{Isometry3, Point2, Vector3};
 use std::ops::Range;
-use wide::f32x4;
 
 /// Directions in which extreme points are sought, 45° apart; what lies inside their polygon is no
 /// vertex.
 const DIRECTIONS: usize = 8;
-/// What single precision may misplace a point by, relative to its distance.
-const SINGLE: f32 = 1e-6;
 
 /// Buffers of the hull.
 #[derive(Clone, Debug, Default)]
 pub(super) struct HullFinder {
     outer: Vec<[f64; 2]>,
-    ends: Vec<[f64; 2]>,
+    /// Cells at the ends of rows and columns.
+    ends: Vec<u32>,
+    /// First cell of the first and of the last row in which each column has a cell.
+    tops: Vec<u32>,
+    bottoms: Vec<u32>,
     candidates: Vec<[f64; 2]>,
 }
 
@@ -69,55 +70,74 @@ impl HullFinder {
         }
     }
 
-    /// The convex hull, in the frame of a plane, of the points of runs of cells.
+    /// The convex hull, in the frame of a plane, of the points of runs of cells, which are in order in
+    /// rows of `width`.
     ///
-    /// The ends of the runs are nearly all of the outline: what is inside the polygon of their
-    /// extremes is sorted out four points at a time.
+    /// A ray between others meets a plane between the points where these do: a cell with others of the
+    /// region on all four sides is no vertex, but for its noise. So the ends of the rows and of the
+    /// columns are all that is looked at.
     pub fn find_in_runs(
         &mut self,
         [x, y, z]: [&[f32]; 3],
-        runs: impl Iterator<Item = Range<usize>> + Clone,
+        width: usize,
+        runs: impl DoubleEndedIterator<Item = Range<usize>> + Clone,
         grid_from_plane: &Isometry3<f64>,
         hull: &mut Vec<Point2<f64>>,
     ) {
+        self.find_ends(width, runs);
         let rotation = grid_from_plane.rotation.to_rotation_matrix().into_inner();
         let origin = grid_from_plane.translation.vector;
-        let flat = |cell: usize| {
-            let d = Vector3::new(x[cell], y[cell], z[cell]).cast::<f64>() - origin;
-            [rotation.column(0).dot(&d), rotation.column(1).dot(&d)]
-        };
-        self.ends.clear();
-        for run in runs.clone() {
-            self.ends.extend([flat(run.start), flat(run.end - 1)]);
-        }
-        let inner = Inner::of(&Extremes::of(self.ends.iter()), origin.norm() as f32);
-        let [ex, ey] = [0, 1].map(|i| rotation.column(i).into_owned().cast::<f32>());
-        let places = [ex, ey].map(|e| (e, e.dot(&origin.cast::<f32>())));
+        let (ex, ey) = (rotation.column(0).into_owned(), rotation.column(1).into_owned());
         let mut outer = std::mem::take(&mut self.outer);
         outer.clear();
-        for run in runs {
-            if run.len() < 4 {
-                outer.extend(run.map(flat));
-                continue;
-            }
-            // The last four may be some that were looked at already, which changes no hull.
-            let last = run.end - 4;
-            for first in run.step_by(4).map(|first| first.min(last)) {
-                let [x, y, z] = [x, y, z].map(|values| f32x4::from(&values[first..first + 4]));
-                let at = places.map(|(e, o)| {
-                    x * f32x4::splat(e.x) + y * f32x4::splat(e.y) + z * f32x4::splat(e.z)
-                        - f32x4::splat(o)
-                });
-                let outside = inner.outside(at);
-                if outside != 0 {
-                    outer.extend(
-                        (0..4).filter(|i| outside & (1 << i) != 0).map(|i| flat(first + i)),
-                    );
-                }
-            }
-        }
+        outer.extend(self.ends.iter().map(|&cell| {
+            let cell = cell as usize;
+            let d = Vector3::new(x[cell], y[cell], z[cell]).cast::<f64>() - origin;
+            [ex.dot(&d), ey.dot(&d)]
+        }));
         self.find(&outer, hull);
         self.outer = outer;
+    }
+
+    /// Lists the first and the last cell of each row and of each column.
+    fn find_ends(
+        &mut self,
+        width: usize,
+        runs: impl DoubleEndedIterator<Item = Range<usize>> + Clone,
+    ) {
+        self.ends.clear();
+        self.tops.resize(width, u32::MAX);
+        self.bottoms.resize(width, u32::MAX);
+        let (mut left, mut right) = (width, 0);
+        let mut row_end = 0;
+        for run in runs.clone() {
+            // Successive runs of a row end it later each.
+            if run.start < row_end
+                && let Some(last) = self.ends.last_mut()
+            {
+                *last = run.end as u32 - 1;
+            } else {
+                row_end = (run.start / width + 1) * width;
+                self.ends.extend([run.start as u32, run.end as u32 - 1]);
+            }
+            let row = row_end - width;
+            let columns = run.start - row..run.end - row;
+            (left, right) = (left.min(columns.start), right.max(columns.end));
+            self.bottoms[columns].fill(row as u32);
+        }
+        for run in runs.rev() {
+            let row = run.start / width * width;
+            self.tops[run.start - row..run.end - row].fill(row as u32);
+        }
+        for column in left..right {
+            for row in [self.tops[column], self.bottoms[column]] {
+                if row != u32::MAX {
+                    self.ends.push(row + column as u32);
+                }
+            }
+            self.tops[column] = u32::MAX;
+            self.bottoms[column] = u32::MAX;
+        }
     }
 
     /// Copies the points that may be vertices.
@@ -151,57 +171,6 @@ impl HullFinder {
                     && cross(top, b, point) > 0.0
             })
         });
-    }
-}
-
-/// The inside of the polygon of extremes, for single precision: what it holds is surely inside.
-struct Inner {
-    /// The rectangle's low and high x, then y.
-    rectangle: [f32; 4],
-    /// Distances `n · p + c` from the edges, as n and c.
-    edges: [[f32; 3]; DIRECTIONS],
-}
-
-impl Inner {
-    /// `distance_m` is about how far the points are away.
-    fn of(extremes: &Extremes, distance_m: f32) -> Self {
-        let (low, high) = (extremes.low, extremes.high);
-        let size = (extremes.points[0][0] - extremes.points[4][0]) as f32;
-        let margin = SINGLE * (distance_m + 4.0 * size);
-        // An edge of no length bounds nothing, but then without any edge nothing would be outside.
-        let nothing = extremes.points.iter().all(|point| *point == extremes.points[0]);
-        let free = if nothing { -1.0 } else { 1.0 };
-        let edges = std::array::from_fn(|k| {
-            let (a, b) = (extremes.points[k], extremes.points[(k + 1) % DIRECTIONS]);
-            let length = distance_squared(a, b).sqrt();
-            if length == 0.0 {
-                return [0.0, 0.0, free];
-            }
-            let (nx, ny) = ((a[1] - b[1]) / length, (b[0] - a[0]) / length);
-            [nx as f32, ny as f32, -(nx * a[0] + ny * a[1]) as f32 - margin]
-        });
-        let rectangle = [
-            low[0] as f32 + margin,
-            high[0] as f32 - margin,
-            low[1] as f32 + margin,
-            high[1] as f32 - margin,
-        ];
-        Self { rectangle, edges }
-    }
-
-    /// A bit for each of four points that may be outside.
-    #[inline]
-    fn outside(&self, [x, y]: [f32x4; 2]) -> u32 {
-        let [left, right, low, high] = self.rectangle.map(f32x4::splat);
-        let within = x.simd_gt(left) & x.simd_lt(right) & y.simd_gt(low) & y.simd_lt(high);
-        if within.all() {
-            return 0;
-        }
-        let mut least = f32x4::ONE;
-        for [nx, ny, c] in self.edges.map(|edge| edge.map(f32x4::splat)) {
-            least = least.fast_min(nx * x + ny * y + c);
-        }
-        !least.simd_gt(f32x4::ZERO).to_bitmask() & 0xf
     }
 }
 
@@ -270,6 +239,43 @@ mod tests {
             let all: Vec<Point2<f64>> = points.iter().map(|p| Point2::new(p[0], p[1])).collect();
             prop_assert_eq!(hull, convex_hull(&all));
         }
+    }
+
+    #[test]
+    fn the_hull_of_a_seen_patch_is_that_of_all_its_points() {
+        // A slanted plane on which cells of a grid of rays form a ring with a gap.
+        let width = 12;
+        let cells: Vec<usize> = (0..width * 9)
+            .filter(|cell| {
+                let (row, column) =
+                    (*cell as f64 / width as f64 - 4.0, (cell % width) as f64 - 5.0);
+                (4.0..20.0).contains(&(row * row + column * column)) && column != 1.0
+            })
+            .collect();
+        let point = |cell: usize| {
+            let (a, b) = ((cell / width) as f64 * 0.1 - 0.4, (cell % width) as f64 * 0.1 - 0.5);
+            Vector3::new(1.0, b, a) * (3.0 / (1.0 + 0.2 * b - 0.3 * a))
+        };
+        let all: Vec<Vector3<f64>> = (0..width * 9).map(point).collect();
+        let columns: [Vec<f32>; 3] =
+            std::array::from_fn(|i| all.iter().map(|p| p[i] as f32).collect());
+        let runs = cells.chunk_by(|a, b| a + 1 == *b && a / width == b / width);
+        let runs: Vec<Range<usize>> = runs.map(|run| run[0]..run[run.len() - 1] + 1).collect();
+        let frame = Isometry3::identity();
+        let (mut hull, mut expected) = (Vec::new(), Vec::new());
+        let mut finder = HullFinder::default();
+        let arrays = [&columns[0][..], &columns[1], &columns[2]];
+        for _ in 0..2 {
+            finder.find_in_runs(arrays, width, runs.iter().cloned(), &frame, &mut hull);
+        }
+        let flat: Vec<[f64; 2]> = cells
+            .iter()
+            .map(|&cell| [f64::from(columns[0][cell]), f64::from(columns[1][cell])])
+            .collect();
+        finder.find(&flat, &mut expected);
+        let (area, whole) =
+            (crate::geometry::polygon_area(&hull), crate::geometry::polygon_area(&expected));
+        assert!(whole > 0.1 && (area / whole - 1.0).abs() < 1e-5, "{area} {whole}");
     }
 
     #[test]

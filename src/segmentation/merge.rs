@@ -59,7 +59,8 @@ impl Merger {
     }
 
     pub fn sort_pairs(&mut self) {
-        self.pairs.sort_unstable();
+        // One comparison of a number for each pair.
+        self.pairs.sort_unstable_by_key(|&(a, b)| u64::from(a) << 32 | u64::from(b));
         self.pairs.dedup();
     }
 
@@ -112,6 +113,21 @@ impl Merger {
         }
         self.pairs.retain(|&(a, b)| a != b);
         self.sort_pairs();
+    }
+
+    /// Replaces labels by those of the regions that theirs have become part of.
+    pub fn follow(&mut self, labels: &mut [u32]) {
+        let mut merged = false;
+        for label in 0..self.parents.len() {
+            let root = self.root(label as u32);
+            merged |= root != label as u32;
+            self.parents[label] = root;
+        }
+        if merged {
+            for label in labels {
+                *label = self.parents[*label as usize];
+            }
+        }
     }
 
     /// The region that a region has become part of.

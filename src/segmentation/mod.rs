@@ -13,6 +13,7 @@ mod compete;
 mod components;
 mod config;
 mod curve;
+mod cut;
 mod facets;
 mod field;
 mod fill;
@@ -24,6 +25,7 @@ mod moments;
 mod morphology;
 mod noise;
 mod noise_estimate;
+mod noise_model;
 mod paper;
 mod residual;
 mod split;
@@ -143,14 +145,14 @@ impl Segmenter {
             None => self.noise_estimator.estimate(&self.field),
         };
         self.field.set_errors(errors);
-        let moments = match self.config.method {
+        let found = match self.config.method {
             Method::Paper => self.paper.run(&self.field, &self.config, &mut self.labels, observe),
             Method::Sticks => self.sticks.run(&self.field, &self.config, &mut self.labels, observe),
         };
         self.assembler.assemble(
             &self.field,
             &self.config,
-            (&self.labels, moments),
+            (&self.labels, found),
             (grid.rows(), grid.columns()),
             &mut self.result,
             observe,

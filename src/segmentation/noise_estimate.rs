@@ -6,6 +6,9 @@
 
 use super::field::Field;
 use super::noise::{RangeNoise, ReadingErrors};
+use super::noise_model::{Class, model};
+use pulp::{Arch, Simd, WithSimd};
+use std::ops::Range;
 
 /// Variance of a third difference of white noise of unit variance: 1 + 9 + 9 + 1.
 const GAIN: f64 = 20.0;
@@ -18,8 +21,6 @@ const FAR_KEPT: f64 = 0.35;
 const FAR_KEPT_VARIANCE: f64 = 0.0667;
 /// Ratio of variances beyond which the wider pitch counts.
 const MUCH_LARGER: f64 = 1.7;
-/// Smallest believed standard deviation in metres: what 32-bit points and printed decimals leave.
-const FLOOR_M: f64 = 4e-4;
 /// Smallest standard deviation that is told apart: readings that are rounded may all agree.
 const LEAST_M: f64 = 1e-4;
 /// Classes of range in which the variance is estimated apart.
@@ -56,17 +57,10 @@ const ANGLE_UNIT: f32 = 0.01;
 /// Buffers of the estimate.
 #[derive(Clone, Debug)]
 pub(super) struct NoiseEstimator {
-    counts: Vec<[u32; SIZE_CLASSES]>,
-    squares: Vec<[f32; SIZE_CLASSES]>,
+    /// Number and squares of the samples: bins of size, class after class, and one for what does not
+    /// count.
+    bins: Vec<[f32; 2]>,
     classes: Vec<Class>,
-}
-
-/// What one class of range tells.
-#[derive(Clone, Copy, Debug)]
-struct Class {
-    range_m: f64,
-    variance: f64,
-    samples: f64,
 }
 
 /// What each class of range tells, where it has enough samples.
@@ -75,8 +69,7 @@ type Classes = [Option<Class>; RANGE_CLASSES];
 impl Default for NoiseEstimator {
     fn default() -> Self {
         Self {
-            counts: vec![[0; SIZE_CLASSES]; RANGE_CLASSES],
-            squares: vec![[0.0; SIZE_CLASSES]; RANGE_CLASSES],
+            bins: vec![[0.0; 2]; RANGE_CLASSES * SIZE_CLASSES + 1],
             classes: Vec::with_capacity(RANGE_CLASSES),
         }
     }
@@ -104,6 +97,92 @@ impl Probe {
     }
 }
 
+/// The class of a difference and its error, in metres or a unit like it.
+trait Filing: Copy {
+    fn file(&self, difference: Difference, step: usize) -> (u32, f32);
+}
+
+/// By the range.
+#[derive(Clone, Copy)]
+struct ByRange {
+    span: (f32, f32),
+}
+
+impl Filing for ByRange {
+    #[inline(always)]
+    fn file(&self, difference: Difference, _: usize) -> (u32, f32) {
+        (range_class(difference.range, self.span), difference.error_m())
+    }
+}
+
+/// By the slope, from class 1 on, in units of what is known of the noise.
+#[derive(Clone, Copy)]
+struct BySlope<'a> {
+    positions: &'a [f32],
+    pitch: usize,
+    span: (f32, f32),
+    /// Standard deviation in each class of range.
+    sigmas: [f32; RANGE_CLASSES],
+}
+
+impl Filing for BySlope<'_> {
+    #[inline(always)]
+    fn file(&self, difference: Difference, step: usize) -> (u32, f32) {
+        let turn = self.positions[step + 3 * self.pitch] - self.positions[step];
+        let slope = difference.first.abs() / turn * difference.range;
+        let sigma = self.sigmas[range_class(difference.range, self.span) as usize];
+        let steepness = slope * difference.range / sigma;
+        let class = ((steepness / FLATTEST).log2().floor().clamp(-1.0, 10.0) + 1.0) as u32;
+        // In a unit that the size classes are made for.
+        let error = difference.error_m() / sigma * ANGLE_UNIT;
+        (if slope > STEEPEST { RANGE_CLASSES as u32 } else { class }, error)
+    }
+}
+
+/// Samples that are filed at a time.
+const FILED: usize = 64;
+
+/// Files the samples of a step; those of cells without a return go beyond all classes.
+struct FileStep<'a, F> {
+    filing: F,
+    step: usize,
+    rows: [&'a [f32]; 4],
+    ranges: &'a [f32],
+    bins: &'a mut [[f32; 2]],
+}
+
+impl<F: Filing> WithSimd for FileStep<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        const BEYOND: u32 = (RANGE_CLASSES * SIZE_CLASSES) as u32;
+        let Self { filing, step, rows: [a, b, c, d], ranges, bins } = self;
+        let count = ranges.len();
+        // Which bin is found for many samples at once, in arrays that nothing else can be in.
+        let (mut places, mut errors) = ([0; FILED], [0.0; FILED]);
+        for first in (0..count).step_by(FILED) {
+            let part = first..count.min(first + FILED);
+            let (a, b) = (&a[part.clone()], &b[part.clone()]);
+            let (c, d) = (&c[part.clone()], &d[part.clone()]);
+            let readings = a.iter().zip(b).zip(c).zip(d).zip(&ranges[part.clone()]);
+            let filed = places.iter_mut().zip(&mut errors);
+            for ((place, size), ((((&a, &b), &c), &d), &range)) in filed.zip(readings) {
+                let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
+                let difference = Difference { first, third, range };
+                let (class, error) = filing.file(difference, step);
+                let bin = class * SIZE_CLASSES as u32 + size_class(error);
+                *place = if a * b * c * d == 0.0 { BEYOND } else { bin.min(BEYOND) };
+                *size = error;
+            }
+            for (&place, &error) in places.iter().zip(&errors).take(part.len()) {
+                let bin = &mut bins[place as usize];
+                *bin = [bin[0] + 1.0, bin[1] + error * error];
+            }
+        }
+    }
+}
+
 /// What four readings at equal distances differ by.
 struct Difference {
     /// Of the inverse ranges, the last from the first, per metre.
@@ -116,6 +195,7 @@ struct Difference {
 
 impl Difference {
     /// The third difference as one of ranges, in metres.
+    #[inline(always)]
     fn error_m(&self) -> f32 {
         self.third.abs() * self.range * self.range
     }
@@ -132,11 +212,7 @@ impl NoiseEstimator {
     /// angle, which shows with the slope of the surfaces, and if not, over how many cells the errors
     /// are alike.
     pub fn estimate(&mut self, field: &Field) -> ReadingErrors {
-        let (mut nearest, mut farthest) = (f32::MAX, 0.0);
-        for &range in &field.range {
-            nearest = if range > 0.0 && range < nearest { range } else { nearest };
-            farthest = if range > farthest { range } else { farthest };
-        }
+        let [nearest, farthest] = field.extent();
         let span = (nearest, RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3));
         let pitch = ((field.across_rad / field.along_rad).round() as usize).clamp(3, 8);
         let near = self.measure(field, span, Probe::near());
@@ -236,28 +312,17 @@ impl NoiseEstimator {
         let sigmas: [f32; RANGE_CLASSES] = std::array::from_fn(|class| {
             model.sigma_m(f64::from(span.0) + (class as f64 + 0.5) / f64::from(span.1)) as f32
         });
-        self.gather(field, [pitch, 0], |difference, step| {
-            let turn = field.positions[step + 3 * pitch] - field.positions[step];
-            let slope = difference.first.abs() / turn * difference.range;
-            if slope > STEEPEST {
-                return None;
-            }
-            let sigma = sigmas[range_class(difference.range, span)];
-            let steepness = slope * difference.range / sigma;
-            let class = ((steepness / FLATTEST).log2().floor().clamp(-1.0, 10.0) + 1.0) as usize;
-            // In a unit that the size classes are made for.
-            Some((class, difference.error_m() / sigma * ANGLE_UNIT))
-        });
+        let by_slope = BySlope { positions: &field.positions, pitch, span, sigmas };
+        self.gather(field, [pitch, 0], by_slope);
         let mut told = [SlopeClass::default(); RANGE_CLASSES];
-        let all: u32 = self.counts[1..].iter().flatten().sum();
-        let fewest = FEWEST.max(LEAST_SHARE * f64::from(all));
+        let all = self.samples(1..RANGE_CLASSES);
+        let fewest = FEWEST.max(LEAST_SHARE * all);
         let mut count = 0;
         let unit = f64::from(ANGLE_UNIT);
         for class in 1..RANGE_CLASSES {
-            let samples = f64::from(self.counts[class].iter().sum::<u32>());
+            let samples = self.samples(class..class + 1);
             if samples >= fewest {
-                let (counts, squares) = (&self.counts[class], &self.squares[class]);
-                let kept = trimmed_mean(counts, squares, samples, KEPT);
+                let kept = trimmed_mean(&self.bins[bins_of(class..class + 1)], samples, KEPT);
                 let variance = kept / (KEPT_VARIANCE * GAIN * unit * unit);
                 let steepness = f64::from(FLATTEST) * 2.0_f64.powf(class as f64 - 0.5);
                 told[count] = SlopeClass { steepness, variance, samples };
@@ -268,64 +333,62 @@ impl NoiseEstimator {
     }
 
     /// Takes differences of four readings, `[down, right]` cells apart along and across, and counts the
-    /// size of each in the class that `filed` gives for it and its step, if it gives any.
-    fn gather(
-        &mut self,
-        field: &Field,
-        [down, right]: [usize; 2],
-        filed: impl Fn(Difference, usize) -> Option<(usize, f32)>,
-    ) {
-        self.counts.iter_mut().for_each(|class| class.fill(0));
-        self.squares.iter_mut().for_each(|class| class.fill(0.0));
+    /// size of each in the class in which it is filed.
+    fn gather(&mut self, field: &Field, [down, right]: [usize; 2], filing: impl Filing) {
+        self.bins.fill([0.0; 2]);
         let lanes = field.lanes;
-        let stride = (field.len() / SAMPLES).max(1);
-        let apart = down * lanes + right;
         let last = lanes.saturating_sub(3 * right);
         if last == 0 {
             return;
         }
+        let stride = (field.len() / SAMPLES).max(1);
+        let apart = down * lanes + right;
         for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
-            let cells = step * lanes..step * lanes + last;
-            let row = |k: usize| &field.inverse[cells.start + k * apart..cells.end + k * apart];
-            let ranges = &field.range[cells.start + apart..cells.end + apart];
-            let inner = row(1).iter().zip(row(2)).zip(ranges);
-            for ((&a, &d), ((&b, &c), &range)) in row(0).iter().zip(row(3)).zip(inner) {
-                if a * b * c * d == 0.0 {
-                    continue;
-                }
-                let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
-                let Some((class, error)) = filed(Difference { first, third, range }, step) else {
-                    continue;
-                };
-                let size = size_class(error);
-                self.counts[class][size] += 1;
-                self.squares[class][size] += error * error;
-            }
+            let first = step * lanes;
+            let row = |k: usize| &field.inverse[first + k * apart..first + k * apart + last];
+            Arch::new().dispatch(FileStep {
+                filing,
+                step,
+                rows: [row(0), row(1), row(2), row(3)],
+                ranges: &field.range[first + apart..first + apart + last],
+                bins: &mut self.bins,
+            });
         }
+    }
+
+    /// Samples in classes.
+    fn samples(&self, classes: Range<usize>) -> f64 {
+        f64::from(self.bins[bins_of(classes)].iter().map(|bin| bin[0]).sum::<f32>())
     }
 
     /// The variance in each class of range, from the part that the probe keeps and from the part that
     /// is kept of far ones; `span` is the nearest range and classes per metre.
     fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
-        self.gather(field, [probe.down, probe.right], |difference, _| {
-            Some((range_class(difference.range, span), difference.error_m()))
-        });
-        let classes = |share: f64, kept_variance: f64| {
-            let (nearest, per_metre) = span;
-            std::array::from_fn(|class| {
-                let range_m = f64::from(nearest) + (class as f64 + 0.5) / f64::from(per_metre);
-                let samples: u32 = self.counts[class].iter().sum();
-                let samples = f64::from(samples);
-                (samples >= FEWEST).then(|| {
-                    let (counts, squares) = (&self.counts[class], &self.squares[class]);
-                    let kept = trimmed_mean(counts, squares, samples, share);
-                    let variance = (kept / (kept_variance * GAIN)).max(LEAST_M * LEAST_M);
-                    Class { range_m, variance, samples }
-                })
-            })
-        };
-        (classes(probe.kept, probe.kept_variance), classes(FAR_KEPT, FAR_KEPT_VARIANCE))
+        self.gather(field, [probe.down, probe.right], ByRange { span });
+        let (nearest, per_metre) = span;
+        let mut told = ([None; RANGE_CLASSES], [None; RANGE_CLASSES]);
+        for class in 0..RANGE_CLASSES {
+            let samples = self.samples(class..class + 1);
+            if samples < FEWEST {
+                continue;
+            }
+            let range_m = f64::from(nearest) + (class as f64 + 0.5) / f64::from(per_metre);
+            let bins = &self.bins[bins_of(class..class + 1)];
+            let part = |share: f64, kept_variance: f64| {
+                let kept = trimmed_mean(bins, samples, share);
+                let variance = (kept / (kept_variance * GAIN)).max(LEAST_M * LEAST_M);
+                Some(Class { range_m, variance, samples })
+            };
+            told.0[class] = part(probe.kept, probe.kept_variance);
+            told.1[class] = part(FAR_KEPT, FAR_KEPT_VARIANCE);
+        }
+        told
     }
+}
+
+/// The bins of classes.
+fn bins_of(classes: Range<usize>) -> Range<usize> {
+    classes.start * SIZE_CLASSES..classes.end * SIZE_CLASSES
 }
 
 /// What readings of one steepness tell: the slope of the range over the angle, and the variance, both
@@ -374,13 +437,18 @@ fn angle_of(told: &[SlopeClass]) -> Option<f64> {
     middle.map(|angle| angle.0).filter(|&angle| angle > 0.0)
 }
 
-fn range_class(range: f32, (nearest, per_metre): (f32, f32)) -> usize {
-    (((range - nearest) * per_metre) as usize).min(RANGE_CLASSES - 1)
+#[inline(always)]
+fn range_class(range: f32, (nearest, per_metre): (f32, f32)) -> u32 {
+    let class = ((range - nearest) * per_metre - 0.5).clamp(0.0, RANGE_CLASSES as f32 - 1.0);
+    // At this size the last bit of a number is one: the nearest whole number, without a conversion,
+    // which would be made one by one.
+    (class + 8_388_608.0).to_bits() & 0xf
 }
 
-fn size_class(error: f32) -> usize {
-    let size = (error.to_bits() >> SIZE_SHIFT).saturating_sub(FIRST_SIZE) as usize;
-    size.min(SIZE_CLASSES - 1)
+#[inline(always)]
+fn size_class(error: f32) -> u32 {
+    let size = (error.to_bits() >> SIZE_SHIFT) as i32 - FIRST_SIZE as i32;
+    size.clamp(0, SIZE_CLASSES as i32 - 1) as u32
 }
 
 /// How many times larger the variance of the second is, as the mean of the classes' logarithms.
@@ -397,16 +465,11 @@ fn growth(from: &Classes, to: &Classes) -> f64 {
 }
 
 /// Mean square of the `share` smallest errors.
-fn trimmed_mean(
-    counts: &[u32; SIZE_CLASSES],
-    squares: &[f32; SIZE_CLASSES],
-    samples: f64,
-    share: f64,
-) -> f64 {
+fn trimmed_mean(bins: &[[f32; 2]], samples: f64, share: f64) -> f64 {
     let mut left = share * samples;
     let mut sum = 0.0;
-    for (&count, &square) in counts.iter().zip(squares) {
-        if count == 0 {
+    for &[count, square] in bins {
+        if count == 0.0 {
             continue;
         }
         let part = (left / f64::from(count)).min(1.0);
@@ -417,80 +480,6 @@ fn trimmed_mean(
         }
     }
     sum / (share * samples)
-}
-
-/// The simplest polynomial with non-negative factors that explains the classes.
-///
-/// Least squares of the relative error of the variance, over all subsets of the three terms; each
-/// term has to earn its place. Classes above the model may be clutter, so they pull less.
-fn model(classes: &[Class]) -> RangeNoise {
-    if classes.is_empty() {
-        return RangeNoise::uniform(0.01);
-    }
-    let mut best = (f64::INFINITY, RangeNoise::uniform(0.01));
-    for subset in 1..8_u8 {
-        let Some(noise) = fit_terms(classes, subset) else { continue };
-        let cost: f64 = classes
-            .iter()
-            .map(|class| {
-                let ratio = (class.variance / noise.variance(class.range_m)).ln();
-                // A class of n samples knows its variance to about sqrt(5 / n); no better than 10 %.
-                (ratio * ratio / (5.0 / class.samples + 0.01)).min(25.0)
-            })
-            .sum();
-        let cost = cost + 6.0 * f64::from(subset.count_ones());
-        if cost < best.0 {
-            best = (cost, noise);
-        }
-    }
-    best.1
-}
-
-/// Weighted least squares with the terms of `subset` (bits: constant, square, fourth); `None` where
-/// a factor would be negative or cannot be told.
-fn fit_terms(classes: &[Class], subset: u8) -> Option<RangeNoise> {
-    let mut factors = [0.0; 3];
-    let weights_from = |class: &Class, factors: &[f64; 3]| {
-        let square = class.range_m * class.range_m;
-        let noise = RangeNoise { constant: factors[0], square: factors[1], fourth: factors[2] };
-        let expected = noise.variance(class.range_m);
-        let scale = if expected > 0.0 { expected } else { class.variance };
-        let excess = class.variance / scale;
-        let trust = if excess > 1.5 { 1.5 / excess } else { 1.0 };
-        let weight = trust * class.samples / (scale * scale);
-        (weight, [1.0, square, square * square])
-    };
-    for _ in 0..4 {
-        let mut normal = nalgebra::Matrix3::<f64>::zeros();
-        let mut right = nalgebra::Vector3::<f64>::zeros();
-        for class in classes {
-            let (weight, terms) = weights_from(class, &factors);
-            for i in 0..3 {
-                right[i] += weight * terms[i] * class.variance;
-                for j in 0..3 {
-                    normal[(i, j)] += weight * terms[i] * terms[j];
-                }
-            }
-        }
-        for i in 0..3 {
-            if subset & (1 << i) == 0 {
-                normal.row_mut(i).fill(0.0);
-                normal.column_mut(i).fill(0.0);
-                normal[(i, i)] = 1.0;
-                right[i] = 0.0;
-            }
-        }
-        // The terms differ by orders of magnitude: scale the diagonal to one.
-        let scale = normal.diagonal().map(|d| 1.0 / d.sqrt());
-        let scaled = nalgebra::Matrix3::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
-        let solution = scaled.cholesky()?.solve(&right.component_mul(&scale)).component_mul(&scale);
-        factors = [solution[0], solution[1], solution[2]];
-        if factors.iter().any(|factor| factor.is_nan() || *factor < 0.0) {
-            return None;
-        }
-    }
-    let noise = RangeNoise { constant: factors[0], square: factors[1], fourth: factors[2] };
-    Some(RangeNoise { constant: noise.constant.max(FLOOR_M * FLOOR_M), ..noise })
 }
 
 #[cfg(test)]

@@ -17,6 +17,7 @@ use super::moments::Moments;
 use super::morphology::Morphology;
 use super::residual::{Residual, scale};
 use super::split::Splitter;
+use super::stick_chain::Found;
 use super::{Stage, StageImage};
 
 /// Residual that is white in the scaled image, in standard deviations.
@@ -52,15 +53,15 @@ pub(super) struct PaperChain {
 }
 
 impl PaperChain {
-    /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns the sums of
-    /// each label.
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns what is
+    /// known of them.
     pub fn run(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
         labels: &mut Vec<u32>,
         observe: &mut dyn FnMut(Stage),
-    ) -> &[Moments] {
+    ) -> Found<'_> {
         let paper = &config.paper;
         let width = field.lanes;
         self.residual.compute(field);
@@ -93,7 +94,7 @@ impl PaperChain {
         self.flat.extend(self.models.iter().map(|m| matches!(m, Some(Model::Plane { .. }))));
         self.merge(field, labels);
         observe(Stage::Split);
-        &self.moments
+        Found { moments: &self.moments, models: &[], border: &self.border }
     }
 
     fn find_edges(&mut self, field: &Field, paper: &PaperConfig) {
@@ -128,7 +129,7 @@ impl PaperChain {
             }
             let belongs = |c: usize| self.components.of_cell[c] == component as u32;
             let axes = candidate_axes(field, cells, count, belongs);
-            let (fitted, _) = choose(&self.readings, &axes, &config.limits, &field.errors);
+            let (fitted, _) = choose(&mut self.readings, &axes, &config.limits, &field.errors);
             self.models.push(match fitted {
                 Fitted::Plane(plane) => Some(plane.model()),
                 Fitted::Sphere { centre, radius_m, .. } => {
@@ -158,9 +159,7 @@ impl PaperChain {
         self.merger.pairs_of_labels(labels, field.lanes, &self.border);
         let flat = &self.flat;
         self.merger.merge(&mut self.moments, &field.errors, |label| flat[label as usize - 1]);
-        for label in labels.iter_mut() {
-            *label = self.merger.root(*label);
-        }
+        self.merger.follow(labels);
     }
 
     /// The stages as pictures, in field order.

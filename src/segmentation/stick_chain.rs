@@ -4,11 +4,23 @@ use super::compete::{Competition, Rival};
 use super::config::SegmentationConfig;
 use super::curve::CurveFinder;
 use super::field::Field;
+use super::fit::Model;
 use super::grow::Grower;
 use super::merge::Merger;
 use super::moments::Moments;
 use super::sticks::{NO_STICK, Sticks};
 use super::{Stage, StageImage};
+
+/// What a chain knows of its labels.
+pub(super) struct Found<'a> {
+    /// The sums of each label.
+    pub moments: &'a [Moments],
+    /// The curved surface of each label, where it was found to be one; none at all from a chain that
+    /// does not look for them.
+    pub models: &'a [Option<Model>],
+    /// Cells, each once, among which are all at which labels meet.
+    pub border: &'a [u32],
+}
 
 /// Buffers and stage images of the chain.
 #[derive(Clone, Debug, Default)]
@@ -25,15 +37,15 @@ pub(super) struct StickChain {
 }
 
 impl StickChain {
-    /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns the sums of
-    /// each label.
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns what is
+    /// known of them.
     pub fn run(
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
         labels: &mut Vec<u32>,
         observe: &mut dyn FnMut(Stage),
-    ) -> &[Moments] {
+    ) -> Found<'_> {
         observe(Stage::Residual);
         self.sticks.cut(field);
         observe(Stage::Morphology);
@@ -60,14 +72,20 @@ impl StickChain {
         self.competition.settle_again(field, &self.rivals, labels);
         self.settled.clone_from(labels);
         observe(Stage::Split);
-        &self.moments
+        Found {
+            moments: &self.moments,
+            models: &self.curves.models,
+            border: &self.competition.border,
+        }
     }
 
     /// Merges planes that touch now that the cells are settled, and fits them anew.
     fn merge(&mut self, field: &Field, labels: &mut [u32]) {
         self.moments.clear();
         self.moments.extend(self.grower.regions.iter().map(|region| region.moments));
-        for (cell, (&before, &now)) in self.grown.iter().zip(labels.iter()).enumerate() {
+        for &cell in &self.competition.border {
+            let cell = cell as usize;
+            let (before, now) = (self.grown[cell], labels[cell]);
             if before != now {
                 let (point, weight) = (field.point(cell), field.weight(cell));
                 self.moments[before as usize].sub_point(point, weight);
@@ -78,9 +96,7 @@ impl StickChain {
         let models = &self.curves.models;
         self.merger
             .merge(&mut self.moments, &field.errors, |label| models[label as usize].is_none());
-        for label in labels.iter_mut() {
-            *label = self.merger.root(*label);
-        }
+        self.merger.follow(labels);
         for (label, rival) in self.rivals.iter_mut().enumerate() {
             if let Rival::Plane(q) = rival {
                 *q = self.moments[label].solve().map(|v| v as f32);

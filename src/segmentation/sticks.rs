@@ -1,30 +1,17 @@
 //! Lanes cut into sticks: the longest runs of cells whose inverse range is a straight line.
 //!
 //! The cut of a lane is optimal: it minimises the sum of squared errors of the lines, in units of
-//! the noise, plus a price for each stick. A dynamic programme finds it in O(n L) for sticks of at
-//! most L cells, for many lanes at once. A stick never crosses an edge that shows in its own lane,
-//! however narrow the surface, and edges along the lanes lie between sticks by construction.
+//! the noise, plus a price for each stick; see [`Cutter`]. A stick never crosses an edge that shows
+//! in its own lane, however narrow the surface, and edges along the lanes lie between sticks by
+//! construction.
 
+use super::cut::Cutter;
 use super::field::Field;
 use super::moments::Moments;
-use wide::f32x4;
+use std::ops::Range;
 
-/// Most cells of a stick.
-pub(super) const LONGEST: usize = 16;
-/// Price of a stick in units of the noise variance: chance breaks gain about 2 ln(2 L) = 7.
-const PRICE: f32 = 9.0;
-/// What a stick of one cell is cheaper: it has no slope.
-const NO_SLOPE: f32 = 2.5;
-/// Tangent of the angle of incidence up to which slopes are expected. It keeps a cell of its own
-/// from forming a line with any one cell beside it.
-const SLOPE: f32 = 6.0;
-/// Lanes that are worked on together, in registers.
-const BLOCK: usize = 4;
-/// A value of each lane of a block.
-type Block = f32x4;
-/// Bits of a cost that give way to the length of its stick, less one: the least of such costs brings
-/// its length with it. What is left of the cost is good to one part in a million.
-const LENGTH_BITS: u32 = LONGEST as u32 - 1;
+/// Most cells without a return between two sticks of a lane that are still neighbours.
+const BRIDGED: u32 = 2;
 /// No stick.
 pub(super) const NO_STICK: u32 = u32::MAX;
 
@@ -61,213 +48,160 @@ pub(super) struct Sticks {
     pub sticks: Vec<Stick>,
     /// Stick of each cell.
     pub of_cell: Vec<u32>,
-    /// Blocks of lanes; the last is filled up with cells without a return. All that is kept of them
-    /// stands block after block, each from its first step on.
-    blocks: usize,
-    steps: usize,
-    inverse: Vec<Block>,
-    /// One over the noise of the inverse range at each cell.
-    sharpness: Vec<Block>,
-    /// Least cost of each lane up to each step, from "nothing yet" on, with the price of a stick more.
-    cost: Vec<Block>,
-    /// Length of the stick that ends at each cell, if one does.
-    length: Vec<[u8; BLOCK]>,
-    tables: Vec<Table>,
-}
-
-/// What depends on the positions of a stick's steps alone, for sticks of one length from two cells on;
-/// the same for all lanes.
-#[derive(Clone, Copy, Debug, Default)]
-struct Table {
-    /// Position of the farthest step before the last one.
-    back: Block,
-    mean: Block,
-    inverse_length: Block,
-    /// One over the scatter of the positions, and its square.
-    inverse_scatter: Block,
-    square: Block,
-    /// The length, as [`LENGTH_BITS`] hold it.
-    length: Block,
+    cutter: Cutter,
+    /// First stick of each lane, and the end of the last.
+    starts: Vec<u32>,
+    /// Sticks of the lane before and of the lane after that touch each stick, corners included.
+    beside: Vec<[Range<u32>; 2]>,
+    /// Sums of the positions of the steps and of their squares, up to each step.
+    sums: Vec<[f64; 2]>,
 }
 
 impl Sticks {
     /// Cuts all lanes of a field.
     pub fn cut(&mut self, field: &Field) {
-        self.load(field);
-        self.cost.clear();
-        self.cost.resize((field.steps + 1) * self.blocks, Block::splat(PRICE));
-        self.length.resize(field.steps * self.blocks, [1; BLOCK]);
-        for step in 0..field.steps {
-            self.make_tables(field, step);
-            for block in 0..self.blocks {
-                self.extend(step, block);
-            }
+        self.cutter.cut(field);
+        self.sums.clear();
+        let mut sum = [0.0; 2];
+        self.sums.push(sum);
+        for &position in &field.positions {
+            let position = f64::from(position);
+            sum = [sum[0] + position, sum[1] + position * position];
+            self.sums.push(sum);
         }
         self.collect(field);
-    }
-
-    /// Copies what the cut needs into blocks.
-    fn load(&mut self, field: &Field) {
-        self.blocks = field.lanes.div_ceil(BLOCK);
-        self.steps = field.steps;
-        // Readings that err alike break a line no more than one of them does.
-        let trust = (1.0 / field.errors.run).sqrt() as f32;
-        let cells = self.blocks * field.steps;
-        self.inverse.resize(cells, Block::ZERO);
-        self.sharpness.resize(cells, Block::ZERO);
-        for step in 0..field.steps {
-            let row = step * field.lanes..(step + 1) * field.lanes;
-            let (inverse, ranges) = (&field.inverse[row.clone()], &field.range[row.clone()]);
-            let cells = inverse.chunks(BLOCK).zip(ranges.chunks(BLOCK));
-            let blocks = (step..).step_by(field.steps);
-            for (((inverse, ranges), gains), at) in
-                cells.zip(field.gain[row].chunks(BLOCK)).zip(blocks)
-            {
-                let [inverse, ranges, gains] = [inverse, ranges, gains].map(four);
-                self.inverse[at] = inverse;
-                self.sharpness[at] = gains * ranges * Block::splat(trust);
-            }
-        }
-    }
-
-    fn make_tables(&mut self, field: &Field, step: usize) {
-        self.tables.clear();
-        let (mut sum, mut squares) = (0.0, 0.0);
-        for k in 1..LONGEST.min(step + 1) {
-            let back = field.positions[step] - field.positions[step - k];
-            sum += back;
-            squares += back * back;
-            let length = (k + 1) as f32;
-            let scatter: f32 = squares - sum * sum / length;
-            let inverse_scatter = 1.0 / scatter.max(1e-14);
-            self.tables.push(Table {
-                back: Block::splat(back),
-                mean: Block::splat(sum / length),
-                inverse_length: Block::splat(1.0 / length),
-                inverse_scatter: Block::splat(inverse_scatter),
-                square: Block::splat(inverse_scatter * inverse_scatter),
-                length: Block::splat(f32::from_bits(k as u32)),
-            });
-        }
-    }
-
-    /// The best stick that ends at `step`, for the lanes of a block.
-    fn extend(&mut self, step: usize, block: usize) {
-        let here = block * self.steps + step;
-        let (inverse, sharpness) = (self.inverse[here], self.sharpness[here]);
-        // Relative to the scatter of the positions, what the prior of the slope is worth.
-        let slope = sharpness * inverse * Block::splat(SLOPE);
-        let doubt = Block::ONE / (slope * slope).fast_max(Block::splat(1e-6));
-        let weight = sharpness * sharpness;
-        let kept = Block::splat(f32::from_bits(!LENGTH_BITS));
-        // Each block has a cost more than it has steps.
-        let before = self.cost[here + block];
-        // A stick of one cell has no error; its length is one, whose bits are none.
-        let mut best = (before - Block::splat(NO_SLOPE)) & kept;
-        let (mut a, mut b, mut c) = (Block::ZERO, Block::ZERO, Block::ZERO);
-        let past = &self.inverse[here - self.tables.len()..here];
-        let costs = &self.cost[here + block - self.tables.len()..here + block];
-        for ((table, &other), &cost) in
-            self.tables.iter().zip(past.iter().rev()).zip(costs.iter().rev())
-        {
-            let d = other - inverse;
-            a += d;
-            b += table.back * d;
-            c += d * d;
-            let slope = b - table.mean * a;
-            let told = (table.inverse_scatter - doubt * table.square).fast_max(Block::ZERO);
-            let error = c - a * a * table.inverse_length - slope * slope * told;
-            best = best.fast_min(((cost + weight * error) & kept) | table.length);
-        }
-        let (best, before) = (best.to_array(), before.to_array());
-        let valid = sharpness.to_array();
-        let mut cost = [0.0; BLOCK];
-        for i in 0..BLOCK {
-            // A cell without a return is a stick of its own, at no price.
-            let valid = valid[i] > 0.0;
-            cost[i] = if valid { best[i] + PRICE } else { before[i] };
-            let length = (best[i].to_bits() & LENGTH_BITS) as u8 + 1;
-            self.length[here][i] = if valid { length } else { 1 };
-        }
-        self.cost[here + block + 1] = Block::new(cost);
+        self.link();
     }
 
     /// Walks every lane back from its end and lists its sticks.
     fn collect(&mut self, field: &Field) {
         let (steps, lanes) = (field.steps, field.lanes);
         self.sticks.clear();
+        self.starts.clear();
         self.of_cell.clear();
         self.of_cell.resize(steps * lanes, NO_STICK);
         for lane in 0..lanes {
             let begin = self.sticks.len();
-            let (block, place) = (lane / BLOCK, lane % BLOCK);
+            self.starts.push(begin as u32);
+            let (place, apart) = self.cutter.place(lane);
             let mut end = steps;
             while end > 0 {
                 let last = end - 1;
-                let first = end - usize::from(self.length[block * steps + last][place]);
-                if field.is_valid(last * lanes + lane) {
-                    self.sticks.push(measure(field, lane, first, last));
+                let first = end - self.cutter.length(place + last * apart);
+                if self.cutter.inverse[place + last * apart] > 0.0 {
+                    self.sticks.push(self.measure(field, lane, first, last));
                 }
                 end = first;
             }
             self.sticks[begin..].reverse();
             for (k, stick) in self.sticks[begin..].iter().enumerate() {
-                for step in stick.first..=stick.last {
-                    self.of_cell[step as usize * lanes + lane] = (begin + k) as u32;
+                let first = stick.first as usize * lanes + lane;
+                let count = stick.n as usize;
+                for row in self.of_cell[first..].chunks_mut(lanes).take(count) {
+                    row[0] = (begin + k) as u32;
+                }
+            }
+        }
+        self.starts.push(self.sticks.len() as u32);
+    }
+
+    /// Finds which sticks of neighbouring lanes touch.
+    fn link(&mut self) {
+        self.beside.clear();
+        self.beside.resize(self.sticks.len(), [0..0, 0..0]);
+        let lanes = self.starts.len() - 1;
+        for lane in 0..lanes {
+            for (side, other) in [lane.wrapping_sub(1), lane + 1].into_iter().enumerate() {
+                if other >= lanes {
+                    continue;
+                }
+                let (mut low, end) = (self.starts[other], self.starts[other + 1]);
+                let mut high = low;
+                for stick in self.starts[lane]..self.starts[lane + 1] {
+                    let Stick { first, last, .. } = self.sticks[stick as usize];
+                    while low < end && self.sticks[low as usize].last + 1 < first {
+                        low += 1;
+                    }
+                    high = high.max(low);
+                    while high < end && self.sticks[high as usize].first <= last + 1 {
+                        high += 1;
+                    }
+                    self.beside[stick as usize][side] = low..high;
                 }
             }
         }
     }
-}
 
-/// Up to four values, filled up with zeros.
-#[inline]
-fn four(values: &[f32]) -> Block {
-    match values.first_chunk::<BLOCK>() {
-        Some(&values) => Block::new(values),
-        None => Block::new(std::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))),
+    /// The sticks of the lane before and of the lane after that touch a stick.
+    pub fn beside(&self, stick: u32) -> &[Range<u32>; 2] {
+        &self.beside[stick as usize]
     }
-}
 
-/// The line of a stick and the two points that stand for it.
-fn measure(field: &Field, lane: usize, first: usize, last: usize) -> Stick {
-    let lanes = field.lanes;
-    let n = (last - first + 1) as f64;
-    let (mut t1, mut t2, mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    let anchor = f64::from(field.inverse[first * lanes + lane]);
-    let origin = f64::from(field.positions[first]);
-    let mut gains = 0.0;
-    for step in first..=last {
-        gains += field.weight(step * lanes + lane);
-        let t = f64::from(field.positions[step]) - origin;
-        let f = f64::from(field.inverse[step * lanes + lane]) - anchor;
-        t1 += t;
-        t2 += t * t;
-        f1 += f;
-        tf += t * f;
-        f2 += f * f;
+    /// The next stick of the same lane if no more than a few cells without a return are between.
+    fn next(&self, stick: u32) -> Option<u32> {
+        let here = &self.sticks[stick as usize];
+        let other = self.sticks.get(stick as usize + 1)?;
+        (other.lane == here.lane && other.first - here.last <= BRIDGED + 1).then_some(stick + 1)
     }
-    let (mean_t, mean_f) = (t1 / n, f1 / n);
-    let scatter = (t2 - t1 * mean_t).max(0.0);
-    let product = tf - t1 * mean_f;
-    let slope = if last > first { product / scatter } else { 0.0 };
-    let reach = (scatter / n).sqrt();
-    let left = (f2 - f1 * mean_f - slope * product).max(0.0);
-    let middle = anchor + mean_f;
-    let ends = [-reach, reach].map(|t| {
-        let f = middle + slope * t;
-        let ray = ray_at(field, lane, first, last, origin + mean_t + t);
-        ray.map(|u| u / f)
-    });
-    let range = 1.0 / middle;
-    Stick {
-        lane: lane as u32,
-        first: first as u32,
-        last: last as u32,
-        ends,
-        weight: 0.5 * gains,
-        n,
-        error: left * range * range * (gains / n),
+
+    /// All sticks that touch a stick, in order of lanes, then steps.
+    pub fn near(&self, stick: u32) -> impl Iterator<Item = u32> + '_ {
+        let [before, after] = self.beside(stick).clone();
+        let last = stick.checked_sub(1).filter(|&last| self.next(last).is_some());
+        before.chain(last).chain(self.next(stick)).chain(after)
+    }
+
+    /// Those of them that come after the stick.
+    pub fn near_after(&self, stick: u32) -> impl Iterator<Item = u32> + '_ {
+        self.next(stick).into_iter().chain(self.beside(stick)[1].clone())
+    }
+
+    /// The line of a stick and the two points that stand for it.
+    fn measure(&self, field: &Field, lane: usize, first: usize, last: usize) -> Stick {
+        let (place, apart) = self.cutter.place(lane);
+        let cell = |step: usize| step * field.lanes + lane;
+        let count = last - first + 1;
+        let n = count as f64;
+        let inverse = &self.cutter.inverse[place + first * apart..=place + last * apart];
+        let anchor = f64::from(inverse[0]);
+        let origin = f64::from(field.positions[first]);
+        let (mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0);
+        let readings = inverse.chunks(apart).zip(&field.positions[first..=last]);
+        for (inverse, &position) in readings {
+            let f = f64::from(inverse[0]) - anchor;
+            let t = f64::from(position) - origin;
+            f1 += f;
+            tf += t * f;
+            f2 += f * f;
+        }
+        let (low, high) = (self.sums[first], self.sums[last + 1]);
+        let t1 = (high[0] - low[0]) - n * origin;
+        let t2 = (high[1] - low[1]) - origin * (2.0 * t1 + n * origin);
+        let share = 1.0 / n;
+        let (mean_t, mean_f) = (t1 * share, f1 * share);
+        let scatter = (t2 - t1 * mean_t).max(0.0);
+        let product = tf - t1 * mean_f;
+        let slope = if last > first { product / scatter } else { 0.0 };
+        let reach = (scatter * share).sqrt();
+        let left = (f2 - f1 * mean_f - slope * product).max(0.0);
+        let middle = anchor + mean_f;
+        let ends = [-reach, reach].map(|t| {
+            let range = 1.0 / (middle + slope * t);
+            ray_at(field, lane, first, last, origin + mean_t + t).map(|u| u * range)
+        });
+        // The gain changes smoothly along a stick.
+        let [a, b, c] = [first, first + count / 2, last].map(|step| field.weight(cell(step)));
+        let gain = (a + b + c) / 3.0;
+        let range = 1.0 / middle;
+        Stick {
+            lane: lane as u32,
+            first: first as u32,
+            last: last as u32,
+            ends,
+            weight: 0.5 * gain * n,
+            n,
+            error: left * range * range * gain,
+        }
     }
 }
 
@@ -275,7 +209,7 @@ fn measure(field: &Field, lane: usize, first: usize, last: usize) -> Stick {
 fn ray_at(field: &Field, lane: usize, first: usize, last: usize, position: f64) -> [f64; 3] {
     let ray = |step: usize| {
         let cell = step * field.lanes + lane;
-        field.point(cell).map(|v| v * f64::from(field.inverse[cell]))
+        [field.x[cell], field.y[cell], field.z[cell]].map(|v| v * field.inverse[cell])
     };
     // Steps are about evenly spaced: the search is short from there.
     let away = (position - f64::from(field.positions[first])) / f64::from(field.along_rad);
@@ -287,10 +221,10 @@ fn ray_at(field: &Field, lane: usize, first: usize, last: usize, position: f64) 
         step += 1;
     }
     if step == last {
-        return ray(step);
+        return ray(step).map(f64::from);
     }
     let (a, b) = (f64::from(field.positions[step]), f64::from(field.positions[step + 1]));
-    let share = ((position - a) / (b - a)).clamp(0.0, 1.0);
+    let share = ((position - a) / (b - a)).clamp(0.0, 1.0) as f32;
     let (u, v) = (ray(step), ray(step + 1));
-    std::array::from_fn(|i| u[i] + share * (v[i] - u[i]))
+    std::array::from_fn(|i| f64::from(u[i] + share * (v[i] - u[i])))
 }

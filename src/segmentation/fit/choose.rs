@@ -2,11 +2,11 @@
 
 use super::super::config::ShapeLimits;
 use super::super::noise::ReadingErrors;
-use super::cylinder::{CylinderFit, fit_cylinder, settle_cylinder};
+use super::cylinder::{CylinderFit, fit_cylinder, improve_cylinder, settle_cylinder};
 use super::plane::fit_plane;
-use super::sphere::{SphereFit, fit_sphere, settle_sphere};
+use super::sphere::{SphereFit, fit_sphere, improve_sphere, settle_sphere};
 use super::{CAP, Fitted, Model, PlaneFit, Readings};
-use nalgebra::{Matrix5, Point3, Unit, Vector3};
+use nalgebra::{Matrix4, Matrix5, Point3, Unit, Vector3};
 
 /// Excess of a plane's mean square error that imperfect surfaces and a wrong noise level explain.
 const IMPERFECT: f64 = 0.05;
@@ -14,17 +14,23 @@ const IMPERFECT: f64 = 0.05;
 /// mean square error for which that holds: beyond it errors may be cut.
 const BENT: f64 = 0.3;
 const MOST_BENT: f64 = 4.0;
+/// Length, in radii of its cylinder, from which on a drum is no ball: two, and what noise adds.
+const LONGEST_BALL: f64 = 2.5;
+/// What a curved surface has more parameters than.
+const PLANE_PARAMETERS: f64 = 3.0;
 
 /// The model that explains the readings at the least cost, and its mean square error.
 ///
 /// The cost is the sum of squared errors, each cut at [`CAP`], plus `k ln n` for k parameters: the
 /// Bayesian information criterion with outliers. `axes` are candidates for a cylinder's axis.
 pub(in super::super) fn choose(
-    readings: &Readings,
+    readings: &mut Readings,
     axes: &[Vector3<f64>],
     limits: &ShapeLimits,
     errors: &ReadingErrors,
 ) -> (Fitted, f64) {
+    let plane = fit_plane(readings);
+    let readings = &*readings;
     let mut best = (f64::INFINITY, Fitted::Other, f64::INFINITY);
     let mut offer = |fitted: Fitted, model: &Model| {
         let error = capped_error(readings, model);
@@ -33,7 +39,6 @@ pub(in super::super) fn choose(
             best = (cost, fitted, error / readings.len() as f64);
         }
     };
-    let plane = fit_plane(readings);
     let flat = plane
         .as_ref()
         .is_some_and(|(plane, error)| is_flat(*error, readings.len(), plane, limits, errors));
@@ -42,12 +47,13 @@ pub(in super::super) fn choose(
         offer(Fitted::Plane(plane), &model);
     }
     if !flat {
-        let sphere = fit_sphere(readings).filter(|s| sphere_is_seen(readings, s, limits));
+        let sphere = fit_sphere(readings, limits.max_radius_m);
+        let sphere = sphere.filter(|s| sphere_is_seen(readings, s, limits));
         if let Some(sphere) = sphere {
             let model = sphere.model();
             offer(fitted_sphere(sphere), &model);
         }
-        let cylinder = fit_cylinder(readings, axes);
+        let cylinder = fit_cylinder(readings, axes, limits.max_radius_m);
         if let Some(cylinder) = cylinder.filter(|c| cylinder_is_seen(readings, c, limits)) {
             let model = cylinder.model();
             offer(bounded(readings, cylinder), &model);
@@ -59,6 +65,57 @@ pub(in super::super) fn choose(
     } else {
         (fitted, mean_square)
     }
+}
+
+/// A curved surface that was found before, settled on all readings along their rays; `None` where it
+/// is not what all of them show, or no better than a plane that leaves the error `flat`, cut as the
+/// cost is.
+pub(in super::super) fn settle_known(
+    readings: &Readings,
+    model: &Model,
+    limits: &ShapeLimits,
+    errors: &ReadingErrors,
+    flat: f64,
+) -> Option<Fitted> {
+    // Few readings of a ball pass for a drum's.
+    let ball = match model {
+        Model::Cylinder { axis, radius_m, .. } => Some(readings)
+            .filter(|readings| {
+                let (low, high) = heights(readings, axis);
+                high - low < LONGEST_BALL * radius_m
+            })
+            .and_then(|readings| fit_sphere(readings, limits.max_radius_m))
+            .filter(|sphere| sphere_is_seen(readings, sphere, limits))
+            .map(|sphere| sphere.model()),
+        Model::Plane { .. } | Model::Sphere { .. } => None,
+    };
+    let cost = |model: &Model| {
+        let worth = (model.parameters() - PLANE_PARAMETERS) * (readings.len() as f64).ln();
+        capped_error(readings, model) / errors.patch + worth
+    };
+    let model = ball.as_ref().filter(|ball| cost(ball) < cost(model)).unwrap_or(model);
+    let start = match *model {
+        Model::Plane { .. } => return None,
+        Model::Sphere { centre, radius_m } => {
+            fitted_sphere(SphereFit { centre, radius_m, covariance: Matrix4::zeros() })
+        }
+        Model::Cylinder { foot, axis, radius_m } => {
+            bounded(readings, CylinderFit { foot, axis, radius_m, covariance: Matrix5::zeros() })
+        }
+    };
+    let fitted = settle(readings, start, limits)?;
+    let settled = match &fitted {
+        Fitted::Sphere { centre, radius_m, .. } => {
+            Model::Sphere { centre: centre.coords, radius_m: *radius_m }
+        }
+        Fitted::Cylinder { axis_point, axis, radius_m, .. } => Model::Cylinder {
+            foot: axis_point.coords,
+            axis: axis.into_inner(),
+            radius_m: *radius_m,
+        },
+        Fitted::Plane(_) | Fitted::Other => return None,
+    };
+    (cost(&settled) < flat / errors.patch).then_some(fitted)
 }
 
 /// The shape that a part of the readings chose, settled on all of them along their rays; `None` where
@@ -88,6 +145,19 @@ pub(in super::super) fn settle(
     };
     let mean_square = capped_error(readings, &model) / readings.len() as f64;
     Some(if mean_square > limits.max_mean_square { Fitted::Other } else { fitted })
+}
+
+/// A sphere or cylinder, refined by a few rounds of errors across it.
+pub(in super::super) fn improve_model(readings: &Readings, model: &Model) -> Option<Model> {
+    match model {
+        Model::Plane { .. } => None,
+        Model::Sphere { centre, radius_m } => {
+            improve_sphere(readings, (*centre, *radius_m)).map(|fit| fit.model())
+        }
+        Model::Cylinder { foot, axis, radius_m } => {
+            improve_cylinder(readings, (*foot, *axis, *radius_m)).map(|fit| fit.model())
+        }
+    }
 }
 
 /// A sphere or cylinder that is nearly right, settled along the rays.
@@ -164,24 +234,31 @@ fn cylinder_is_seen(readings: &Readings, cylinder: &CylinderFit, limits: &ShapeL
     };
     let middle = radial(&readings.centroid());
     let side = cylinder.axis.cross(&middle);
-    let half = 0.5 * limits.min_arc_deg.to_radians();
-    // Each side of the middle must reach half the arc with 2 % of the readings.
+    let (sine, cosine) = (0.5 * limits.min_arc_deg.to_radians()).sin_cos();
+    // Each side of the middle must reach half the arc, which is a right angle at most, with 2 % of
+    // the readings.
     let (mut left, mut right) = (0, 0);
     for p in &readings.points {
-        let d = radial(p);
-        let angle = side.dot(&d).atan2(middle.dot(&d));
-        left += usize::from(angle > half);
-        right += usize::from(angle < -half);
+        let d = p - cylinder.foot;
+        let (across, along) = (side.dot(&d), middle.dot(&d));
+        let beyond = across.abs() * cosine > along * sine;
+        left += usize::from(beyond && across > 0.0);
+        right += usize::from(beyond && across < 0.0);
     }
     left * 50 >= readings.len() && right * 50 >= readings.len()
+}
+
+/// Least and greatest coordinate of the readings along an axis.
+fn heights(readings: &Readings, axis: &Vector3<f64>) -> (f64, f64) {
+    let heights = readings.points.iter().map(|p| axis.dot(p));
+    heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)))
 }
 
 /// The cylinder with the extent of the readings along its axis.
 fn bounded(readings: &Readings, cylinder: CylinderFit) -> Fitted {
     let CylinderFit { foot, axis, radius_m, covariance } = cylinder;
-    let heights = readings.points.iter().map(|p| axis.dot(&(p - foot)));
-    let (low, high) =
-        heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+    let (low, high) = heights(readings, &axis);
+    let (low, high) = (low - axis.dot(&foot), high - axis.dot(&foot));
     let middle = 0.5 * (low + high);
     // The offset at the middle is that at the foot and what the tilt adds on the way.
     let mut at_middle = Matrix5::identity();

@@ -2,9 +2,10 @@
 
 use super::plane::largest_positive;
 use super::{
-    CONVERGED, LEAST_COSINE, Model, Phase, RAY_ROUNDS, RIM_COSINE, Readings, START_READINGS,
+    CONVERGED, FEW_ROUNDS, LEAST_COSINE, Model, NormalSums, Phase, RAY_ROUNDS, RIM_COSINE,
+    Readings, START_READINGS, STRAY,
 };
-use nalgebra::{Matrix3, Matrix5, SVector, Vector3};
+use nalgebra::{Matrix3, Matrix5, Vector3};
 
 const ROUNDS: usize = 10;
 
@@ -23,28 +24,38 @@ impl CylinderFit {
     }
 }
 
-/// Fits a cylinder by errors across it from the best of the candidate axes; `None` where none leads anywhere.
-pub(in super::super) fn fit_cylinder(
+/// Fits a cylinder by errors across it from the best of the candidate axes; `None` where none leads
+/// anywhere, or the best start has a radius far above `max_radius_m`.
+pub(super) fn fit_cylinder(
     readings: &Readings,
     axes: &[Vector3<f64>],
+    max_radius_m: f64,
 ) -> Option<CylinderFit> {
     let centroid = readings.centroid();
     let start = axes
         .iter()
         .filter_map(|axis| circle_across(readings, &centroid, axis))
-        .min_by(|a, b| a.mean_square.total_cmp(&b.mean_square))?;
+        .min_by(|a, b| a.mean_square.total_cmp(&b.mean_square))
+        .filter(|start| start.radius_m <= STRAY * max_radius_m)?;
     refine(readings, &centroid, start, Phase::Start, ROUNDS)
+}
+
+/// Improves a cylinder by a few rounds of errors across it.
+pub(super) fn improve_cylinder(
+    readings: &Readings,
+    model: (Vector3<f64>, Vector3<f64>, f64),
+) -> Option<CylinderFit> {
+    let centroid = readings.centroid();
+    refine(readings, &centroid, Start::at(&centroid, model), Phase::Start, FEW_ROUNDS)
 }
 
 /// Settles a cylinder that is nearly right by errors along the rays.
 pub(super) fn settle_cylinder(
     readings: &Readings,
-    (foot, axis, radius_m): (Vector3<f64>, Vector3<f64>, f64),
+    model: (Vector3<f64>, Vector3<f64>, f64),
 ) -> Option<CylinderFit> {
     let centroid = readings.centroid();
-    let foot = foot + axis * axis.dot(&(centroid - foot));
-    let start = Start { axis, foot, radius_m, mean_square: 0.0 };
-    refine(readings, &centroid, start, Phase::Rays, RAY_ROUNDS)
+    refine(readings, &centroid, Start::at(&centroid, model), Phase::Rays, RAY_ROUNDS)
 }
 
 struct Start {
@@ -52,6 +63,17 @@ struct Start {
     foot: Vector3<f64>,
     radius_m: f64,
     mean_square: f64,
+}
+
+impl Start {
+    /// A cylinder with its foot next to the centroid.
+    fn at(
+        centroid: &Vector3<f64>,
+        (foot, axis, radius_m): (Vector3<f64>, Vector3<f64>, f64),
+    ) -> Self {
+        let foot = foot + axis * axis.dot(&(centroid - foot));
+        Self { axis, foot, radius_m, mean_square: 0.0 }
+    }
 }
 
 /// Two unit vectors that complete `axis` to a frame: the first is `axis × e`, with `e` the
@@ -127,8 +149,7 @@ fn refine(
         let stride = phase.stride(round, readings);
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
-        let mut normal = Matrix5::<f64>::zeros();
-        let mut right = SVector::<f64, 5>::zeros();
+        let mut sums = NormalSums::<5>::default();
         let (mut square, mut count) = (0.0, 0.0);
         for i in (0..readings.len()).step_by(stride) {
             let (point, ray, sigma) = (&readings.points[i], &readings.rays[i], readings.sigmas[i]);
@@ -155,13 +176,12 @@ fn refine(
             let scale = 1.0 / (sigma * cosine);
             // Moving the axis by a and tilting it by b (per metre of height) moves it at the
             // reading by a + height b; the distance falls by that along n, and by the radius.
-            let (n1, n2) = (n.dot(&e1), n.dot(&e2));
-            let j = SVector::<f64, 5>::new(n1, n2, height * n1, height * n2, 1.0) * scale;
-            normal += j * j.transpose();
-            right += j * e;
+            let (n1, n2) = (n.dot(&e1) * scale, n.dot(&e2) * scale);
+            sums.add([n1, n2, height * n1, height * n2, scale], e);
             square += e * e;
             count += 1.0;
         }
+        let (normal, right) = (sums.normal(), sums.right());
         let Some(decomposed) = normal.cholesky() else { break };
         let inverse = decomposed.inverse();
         let correction = inverse * right;

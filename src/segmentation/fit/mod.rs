@@ -11,13 +11,11 @@ mod plane;
 mod sphere;
 mod sums;
 
-pub(super) use choose::{choose, is_flat, settle, settle_model};
-pub(super) use cylinder::fit_cylinder;
+pub(super) use choose::{choose, improve_model, is_flat, settle, settle_known, settle_model};
 pub(super) use plane::{PlaneFit, centroid_of, fit_plane, plane_of};
-pub(super) use sphere::fit_sphere;
 pub(super) use sums::{Columns, PlaneSums, Reference, place::ERROR as SUMMED_ERROR};
 
-use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, Unit, Vector3};
+use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, SMatrix, SVector, Unit, Vector3};
 
 /// Least cosine of the angle of incidence that weights believe in: beyond 87° the error is no
 /// longer that of the range but of the ray's angle.
@@ -77,6 +75,13 @@ impl Phase {
     }
 }
 
+/// Rounds that improve a surface whose readings are about to change again.
+const FEW_ROUNDS: usize = 4;
+
+/// Start of a sphere or cylinder, in the greatest radius that is believed, beyond which it is not worth
+/// refining: what a plane leads to is larger by far, and noise makes starts too small.
+const STRAY: f64 = 3.0;
+
 /// Errors beyond this many standard deviations cost no more: the cost is that of an outlier.
 const CAP: f64 = 5.0;
 
@@ -85,6 +90,41 @@ const RAY_ROUNDS: usize = 4;
 const THIN_RAY_ROUNDS: usize = 2;
 /// Square of a step, in its standard deviations, after which there is no other.
 const CONVERGED: f64 = 1e-4;
+
+/// Sums of a least-squares problem of N unknowns.
+#[derive(Clone, Copy, Debug)]
+struct NormalSums<const N: usize> {
+    /// The upper triangle is kept.
+    products: [[f64; N]; N],
+    right: [f64; N],
+}
+
+impl<const N: usize> Default for NormalSums<N> {
+    fn default() -> Self {
+        Self { products: [[0.0; N]; N], right: [0.0; N] }
+    }
+}
+
+impl<const N: usize> NormalSums<N> {
+    /// Adds a reading of error `e` with the derivatives `j`.
+    #[inline(always)]
+    fn add(&mut self, j: [f64; N], e: f64) {
+        for a in 0..N {
+            for b in a..N {
+                self.products[a][b] += j[a] * j[b];
+            }
+            self.right[a] += j[a] * e;
+        }
+    }
+
+    fn normal(&self) -> SMatrix<f64, N, N> {
+        SMatrix::from_fn(|a, b| self.products[a.min(b)][a.max(b)])
+    }
+
+    fn right(&self) -> SVector<f64, N> {
+        SVector::from(self.right)
+    }
+}
 
 /// The readings of one region, gathered so that fits run over plain arrays.
 #[derive(Clone, Debug, Default)]
@@ -97,6 +137,8 @@ pub(super) struct Readings {
     /// Whether a plane is fitted to the reading. Which region a reading at a border to another surface
     /// belongs to was decided by its error, so it would bias a fit.
     pub core: Vec<bool>,
+    /// Coordinates, inverse ranges and gains as the sums of a plane read them.
+    columns: [Vec<f32>; 6],
 }
 
 impl Readings {

@@ -1,7 +1,7 @@
 //! The plane: weighted least squares of the ranges, with its covariance.
 
 use super::super::moments::Moments;
-use super::sums::{PlaneSums, Reference, place};
+use super::sums::{Columns, PlaneSums, Reference, place};
 use super::{GATED_VARIANCE, Model, Readings};
 use nalgebra::{Isometry3, Matrix2x3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
@@ -151,7 +151,7 @@ fn frame_of(sums: &PlaneSums, ez: &Vector3<f64>, offset_m: f64) -> Option<(Isome
 }
 
 /// Fits a plane; `None` for readings that span no line.
-pub(in super::super) fn fit_plane(readings: &Readings) -> Option<(PlaneFit, f64)> {
+pub(in super::super) fn fit_plane(readings: &mut Readings) -> Option<(PlaneFit, f64)> {
     let first = readings.points.first()?;
     let mut moments = Moments::default();
     for (point, gain) in readings.points.iter().zip(readings.gains()) {
@@ -159,14 +159,20 @@ pub(in super::super) fn fit_plane(readings: &Readings) -> Option<(PlaneFit, f64)
     }
     let narrow = |v: [f64; 3]| v.map(|v| v as f32);
     let reference = Reference { q: narrow(moments.solve()), anchor: narrow((*first).into()) };
-    let mut sums = PlaneSums::new(reference);
-    for (i, gain) in readings.gains().enumerate() {
-        let inverse = 1.0 / readings.points[i].dot(&readings.rays[i]);
-        let fit_gain = if readings.core[i] { gain } else { 0.0 };
-        let point = narrow(readings.points[i].into());
-        sums.add(point, inverse as f32, gain as f32, fit_gain as f32);
+    let [x, y, z, inverse, gain, fit_gain] = &mut readings.columns;
+    for column in [&mut *x, &mut *y, &mut *z, &mut *inverse, &mut *gain, &mut *fit_gain] {
+        column.clear();
     }
-    sums.flush();
+    for i in 0..readings.points.len() {
+        let (point, range) = (readings.points[i], readings.points[i].dot(&readings.rays[i]));
+        x.push(point.x as f32);
+        y.push(point.y as f32);
+        z.push(point.z as f32);
+        inverse.push((1.0 / range) as f32);
+        gain.push((range / readings.sigmas[i]) as f32);
+        fit_gain.push(if readings.core[i] { (range / readings.sigmas[i]) as f32 } else { 0.0 });
+    }
+    let sums = PlaneSums::over_few(reference, Columns { x, y, z, inverse, gain, fit_gain });
     Some((plane_of(&sums)?, sums.totals[place::ERROR]))
 }
 

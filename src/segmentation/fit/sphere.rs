@@ -1,6 +1,9 @@
 //! The sphere: an algebraic start, then Gauss-Newton on the distance.
 
-use super::{CONVERGED, LEAST_COSINE, Model, Phase, RAY_ROUNDS, RIM_COSINE, Readings};
+use super::{
+    CONVERGED, FEW_ROUNDS, LEAST_COSINE, Model, NormalSums, Phase, RAY_ROUNDS, RIM_COSINE,
+    Readings, STRAY,
+};
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 const ROUNDS: usize = 8;
@@ -19,10 +22,18 @@ impl SphereFit {
 }
 
 /// Fits a sphere by errors across it; `None` where the readings lie in a plane or the iteration
-/// leaves the region.
-pub(in super::super) fn fit_sphere(readings: &Readings) -> Option<SphereFit> {
+/// leaves the region, or where the start has a radius far above `max_radius_m`.
+pub(super) fn fit_sphere(readings: &Readings, max_radius_m: f64) -> Option<SphereFit> {
     let start = algebraic(readings, &readings.centroid())?;
+    if start.1 > STRAY * max_radius_m {
+        return None;
+    }
     refine(readings, start, Phase::Start, ROUNDS)
+}
+
+/// Improves a sphere by a few rounds of errors across it.
+pub(super) fn improve_sphere(readings: &Readings, start: (Vector3<f64>, f64)) -> Option<SphereFit> {
+    refine(readings, start, Phase::Start, FEW_ROUNDS)
 }
 
 /// Settles a sphere that is nearly right by errors along the rays.
@@ -40,8 +51,7 @@ fn refine(
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
-        let mut normal = Matrix4::<f64>::zeros();
-        let mut right = Vector4::<f64>::zeros();
+        let mut sums = NormalSums::<4>::default();
         let (mut square, mut count) = (0.0, 0.0);
         for i in (0..readings.len()).step_by(stride) {
             let (point, ray, sigma) = (&readings.points[i], &readings.rays[i], readings.sigmas[i]);
@@ -63,12 +73,11 @@ fn refine(
             }
             let scale = 1.0 / (sigma * cosine);
             // Derivative of the distance: -n for the centre, -1 for the radius.
-            let j = Vector4::new(n.x, n.y, n.z, 1.0) * scale;
-            normal += j * j.transpose();
-            right += j * e;
+            sums.add([n.x * scale, n.y * scale, n.z * scale, scale], e);
             square += e * e;
             count += 1.0;
         }
+        let (normal, right) = (sums.normal(), sums.right());
         let Some(decomposed) = normal.cholesky() else { break };
         let inverse = decomposed.inverse();
         let correction = inverse * right;

@@ -1,14 +1,14 @@
 //! Sums over the readings of one region, from which its plane, frame and errors follow.
 //!
-//! All are taken in one pass, four readings at a time, about a plane that is nearly right already:
+//! All are taken in one pass, a vector of readings at a time, about a plane that is nearly right already:
 //! what the region's additive moments gave. Then the errors are small numbers and single precision
 //! holds them; a Newton step from there is exact, as the problem is linear.
 
 use super::{CAP, GATE, LEAST_COSINE};
+use pulp::{Arch, Scalar128b, Simd, WithSimd};
 use std::ops::Range;
-use wide::f32x4;
 
-/// Blocks of four readings that are added up in single precision.
+/// Vectors of readings that are added up in single precision.
 const LONGEST_SUM: usize = 64;
 /// Relative error beyond which a reading's place on the plane is not followed.
 const FARTHEST: f32 = 0.5;
@@ -65,119 +65,144 @@ pub(in super::super) struct PlaneSums {
     pub reference: Reference,
     pub totals: [f64; place::COUNT],
     pub readings: usize,
-    least: f32x4,
-    block: [f32x4; place::COUNT],
-    blocks: usize,
 }
 
 impl PlaneSums {
-    pub fn new(reference: Reference) -> Self {
-        let [x, y, z] = reference.q;
-        let offset_m = 1.0 / (x * x + y * y + z * z).sqrt();
-        Self {
-            reference,
-            totals: [0.0; place::COUNT],
-            readings: 0,
-            least: f32x4::splat(offset_m / LEAST_COSINE as f32),
-            block: [f32x4::ZERO; place::COUNT],
-            blocks: 0,
+    /// The sums over runs of successive cells.
+    pub fn over(
+        reference: Reference,
+        columns: Columns,
+        runs: impl Iterator<Item = Range<usize>>,
+    ) -> Self {
+        let summation = Summation { reference, columns, runs };
+        match Arch::new() {
+            Arch::Scalar => Scalar128b.vectorize(summation),
+            arch => arch.dispatch(summation),
         }
     }
 
-    /// Adds the readings of successive cells.
-    pub fn add_run(&mut self, columns: &Columns, run: Range<usize>) {
-        let arrays =
-            [columns.x, columns.y, columns.z, columns.inverse, columns.gain, columns.fit_gain]
-                .map(|array| &array[run.clone()]);
-        let [x, y, z, inverse, gain, fit_gain] = arrays.map(|array| array.as_chunks::<4>());
-        let whole = x.0.iter().zip(y.0).zip(z.0).zip(inverse.0).zip(gain.0).zip(fit_gain.0);
-        for (((((x, y), z), inverse), gain), fit_gain) in whole {
-            let four = [x, y, z, inverse, gain, fit_gain].map(|&values| f32x4::new(values));
-            self.add_block::<false>(four, f32x4::ZERO);
-        }
-        let left = x.1.len();
-        if left > 0 {
-            let four = [x, y, z, inverse, gain, fit_gain].map(|(_, rest)| {
-                let mut values = [0.0; 4];
-                values[..left].copy_from_slice(rest);
-                f32x4::new(values)
-            });
-            let present = std::array::from_fn(|i| f32::from_bits(if i < left { !0 } else { 0 }));
-            self.add_block::<true>(four, f32x4::new(present));
-        }
-        self.readings += run.len();
-        if self.blocks > LONGEST_SUM {
-            self.flush();
-        }
+    /// The sums over few readings, in arrays of their own.
+    pub fn over_few(reference: Reference, columns: Columns) -> Self {
+        Self::over(reference, columns, std::iter::once(0..columns.x.len()))
     }
+}
 
-    /// Adds one reading.
-    pub fn add(&mut self, [x, y, z]: [f32; 3], inverse: f32, gain: f32, fit_gain: f32) {
-        let four = [x, y, z, inverse, gain, fit_gain].map(|v| f32x4::new([v, 0.0, 0.0, 0.0]));
-        self.add_block::<true>(four, f32x4::new([f32::from_bits(!0), 0.0, 0.0, 0.0]));
-        self.readings += 1;
-        if self.blocks > LONGEST_SUM {
-            self.flush();
-        }
-    }
+/// Summing over runs, for vectors of some width.
+struct Summation<'a, I> {
+    reference: Reference,
+    columns: Columns<'a>,
+    runs: I,
+}
+
+impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
+    type Output = PlaneSums;
 
     #[inline(always)]
-    fn add_block<const SOME: bool>(&mut self, four: [f32x4; 6], present: f32x4) {
-        let [x, y, z, inverse, gain, fit_gain] = four;
-        let [qx, qy, qz] = self.reference.q.map(f32x4::splat);
-        let [ax, ay, az] = self.reference.anchor.map(f32x4::splat);
-        let one = f32x4::ONE;
-        let mut s = qx * x + qy * y + qz * z - one;
-        if SOME {
-            s &= present;
-        }
-        // Where the ray meets the plane: what follows from it does not depend on the reading's error.
-        let near = s.fast_max(f32x4::splat(-FARTHEST)).fast_min(f32x4::splat(FARTHEST));
-        let shrink = one - near * (one - near);
-        let mut d = [x * shrink - ax, y * shrink - ay, z * shrink - az];
-        if SOME {
-            d = d.map(|d| d & present);
-        }
-        let grazing = (self.least * inverse).fast_min(one);
-        let error = s * gain * grazing;
-        let square = error * error;
-        let inside = square.simd_le(f32x4::splat((GATE * GATE) as f32));
-        let weight = fit_gain * shrink * grazing;
-        let w = (weight * weight) & inside;
-        let counted = w.simd_ne(f32x4::ZERO) & one;
-        let sums = &mut self.block;
-        let ws = w * s;
-        sums[place::W] += w;
-        sums[place::WS] += ws;
-        sums[place::WSS] += ws * s;
-        sums[place::S] += s;
-        sums[place::SS] += s * s;
-        sums[place::ERROR] += square.fast_min(f32x4::splat((CAP * CAP) as f32));
-        sums[place::INLIERS] += counted;
-        sums[place::GAIN] += gain * gain;
-        let mut pair = 0;
-        for i in 0..3 {
-            sums[place::WD + i] += w * d[i];
-            sums[place::WSD + i] += ws * d[i];
-            sums[place::D + i] += d[i];
-            sums[place::SD + i] += s * d[i];
-            for j in i..3 {
-                let product = d[i] * d[j];
-                sums[place::WDD + pair] += w * product;
-                sums[place::DD + pair] += product;
-                pair += 1;
+    fn with_simd<S: Simd>(self, simd: S) -> PlaneSums {
+        let Self { reference, columns, runs } = self;
+        let [x, y, z] = reference.q;
+        let offset_m = 1.0 / (x * x + y * y + z * z).sqrt();
+        let about = About {
+            q: reference.q.map(|v| simd.splat_f32s(v)),
+            anchor: reference.anchor.map(|v| simd.splat_f32s(v)),
+            least: simd.splat_f32s(offset_m / LEAST_COSINE as f32),
+        };
+        let mut sums = PlaneSums { reference, totals: [0.0; place::COUNT], readings: 0 };
+        let mut block = [simd.splat_f32s(0.0); place::COUNT];
+        let mut blocks = 0;
+        for run in runs {
+            sums.readings += run.len();
+            let Columns { x, y, z, inverse, gain, fit_gain } = columns;
+            let arrays = [x, y, z, inverse, gain, fit_gain].map(|array| &array[run.clone()]);
+            let [x, y, z, inverse, gain, fit_gain] = arrays.map(|array| S::as_simd_f32s(array));
+            let whole = x.0.iter().zip(y.0).zip(z.0).zip(inverse.0).zip(gain.0).zip(fit_gain.0);
+            for (((((&x, &y), &z), &inverse), &gain), &fit_gain) in whole {
+                add(simd, &about, [x, y, z, inverse, gain, fit_gain], &mut block);
+            }
+            blocks += x.0.len();
+            if !x.1.is_empty() {
+                let rest =
+                    [x, y, z, inverse, gain, fit_gain].map(|array| simd.partial_load_f32s(array.1));
+                add(simd, &about, rest, &mut block);
+                blocks += 1;
+            }
+            if blocks > LONGEST_SUM {
+                flush(simd, &mut block, &mut sums.totals);
+                blocks = 0;
             }
         }
-        self.blocks += 1;
+        flush(simd, &mut block, &mut sums.totals);
+        sums
     }
+}
 
-    /// Moves what was added in single precision to the totals.
-    pub fn flush(&mut self) {
-        for (total, block) in self.totals.iter_mut().zip(&mut self.block) {
-            let [a, b, c, d] = block.to_array().map(f64::from);
-            *total += (a + b) + (c + d);
-            *block = f32x4::ZERO;
+/// What sums are taken about, in every place of a vector.
+struct About<V> {
+    q: [V; 3],
+    anchor: [V; 3],
+    /// Distance of the plane over the least cosine of incidence.
+    least: V,
+}
+
+/// Adds readings to the sums; places without one have zeros.
+#[inline(always)]
+fn add<S: Simd>(
+    simd: S,
+    about: &About<S::f32s>,
+    [x, y, z, inverse, gain, fit_gain]: [S::f32s; 6],
+    sums: &mut [S::f32s; place::COUNT],
+) {
+    let mul = |a, b| simd.mul_f32s(a, b);
+    let plus = |sum: &mut S::f32s, value| *sum = simd.add_f32s(*sum, value);
+    let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+    let present = simd.greater_than_f32s(inverse, zero);
+    let [qx, qy, qz] = about.q;
+    let product = simd.add_f32s(simd.add_f32s(mul(qx, x), mul(qy, y)), mul(qz, z));
+    let s = simd.select_f32s(present, simd.sub_f32s(product, one), zero);
+    // Where the ray meets the plane: what follows from it does not depend on the reading's error.
+    let near = simd.max_f32s(s, simd.splat_f32s(-FARTHEST));
+    let near = simd.min_f32s(near, simd.splat_f32s(FARTHEST));
+    let shrink = simd.sub_f32s(one, mul(near, simd.sub_f32s(one, near)));
+    let [ax, ay, az] = about.anchor;
+    let d = [(x, ax), (y, ay), (z, az)]
+        .map(|(p, anchor)| simd.select_f32s(present, simd.sub_f32s(mul(p, shrink), anchor), zero));
+    let grazing = simd.min_f32s(mul(about.least, inverse), one);
+    let error = mul(mul(s, gain), grazing);
+    let square = mul(error, error);
+    let inside = simd.less_than_or_equal_f32s(square, simd.splat_f32s((GATE * GATE) as f32));
+    let weight = mul(mul(fit_gain, shrink), grazing);
+    let w = simd.select_f32s(inside, mul(weight, weight), zero);
+    let counted = simd.select_f32s(simd.greater_than_f32s(w, zero), one, zero);
+    let ws = mul(w, s);
+    plus(&mut sums[place::W], w);
+    plus(&mut sums[place::WS], ws);
+    plus(&mut sums[place::WSS], mul(ws, s));
+    plus(&mut sums[place::S], s);
+    plus(&mut sums[place::SS], mul(s, s));
+    let capped = simd.min_f32s(square, simd.splat_f32s((CAP * CAP) as f32));
+    plus(&mut sums[place::ERROR], capped);
+    plus(&mut sums[place::INLIERS], counted);
+    plus(&mut sums[place::GAIN], mul(gain, gain));
+    let mut pair = 0;
+    for i in 0..3 {
+        plus(&mut sums[place::WD + i], mul(w, d[i]));
+        plus(&mut sums[place::WSD + i], mul(ws, d[i]));
+        plus(&mut sums[place::D + i], d[i]);
+        plus(&mut sums[place::SD + i], mul(s, d[i]));
+        for j in i..3 {
+            let product = mul(d[i], d[j]);
+            plus(&mut sums[place::WDD + pair], mul(w, product));
+            plus(&mut sums[place::DD + pair], product);
+            pair += 1;
         }
-        self.blocks = 0;
+    }
+}
+
+/// Moves what was added in single precision to the totals.
+#[inline(always)]
+fn flush<S: Simd>(simd: S, block: &mut [S::f32s; place::COUNT], totals: &mut [f64; place::COUNT]) {
+    for (total, block) in totals.iter_mut().zip(block) {
+        *total += f64::from(simd.reduce_sum_f32s(*block));
+        *block = simd.splat_f32s(0.0);
     }
 }
