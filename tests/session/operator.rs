@@ -13,14 +13,15 @@ use usar_agent::mission::{Agent, Event, Mode, OperatorEvent, Outcome};
 use usar_agent::protocol::Dialect;
 use usar_agent::record::{Header, Writer, read};
 
-/// What became of an agent in teleop whose operator held a key that drives at `linear_mps`.
+/// What became of an agent in teleop whose operator held a key down.
 struct Held {
     agent: Agent,
     recording: Vec<u8>,
 }
 
-/// Holds the key for all of a session of `seconds` against the stand-in.
-async fn hold_a_key(linear_mps: f64, seconds: f64) -> Held {
+/// Holds a key that drives at `linear_mps` and turns at `angular_rps` for all of a session of `seconds`
+/// against the stand-in.
+async fn hold_a_key(linear_mps: f64, angular_rps: f64, seconds: f64) -> Held {
     let mut loaded = load(Path::new("box"), &[]).unwrap();
     loaded.agent.mission.mode = Mode::Teleop;
     loaded.agent.mission.time_limit_s = seconds;
@@ -42,7 +43,7 @@ async fn hold_a_key(linear_mps: f64, seconds: f64) -> Held {
     let hand = tokio::spawn(async move {
         for _ in 0..presses {
             tokio::time::sleep(Duration::from_millis(100)).await;
-            let drive = OperatorEvent::Drive { linear_mps, angular_rps: 0.0 };
+            let drive = OperatorEvent::Drive { linear_mps, angular_rps };
             if inputs.send((clock.now(), Event::Operator(drive))).await.is_err() {
                 break;
             }
@@ -60,8 +61,9 @@ async fn hold_a_key(linear_mps: f64, seconds: f64) -> Held {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_operator_drives_over_tcp_and_the_session_replays() {
-    let Held { agent, recording } = hold_a_key(-0.3, 5.0).await;
-    assert!(agent.running().unwrap().belief().path_m() > 0.05, "the operator moved the robot");
+    let Held { agent, recording } = hold_a_key(0.0, 0.6, 5.0).await;
+    let turned_rad = agent.running().unwrap().belief().world_from_robot().rotation.angle();
+    assert!(turned_rad > 0.1, "the operator turned the robot: {turned_rad} rad");
     let recording = read(&recording).unwrap();
     let config = toml::from_str(&recording.header.config).unwrap();
     let again = Agent::new(config, recording.header.placement.clone());
@@ -76,10 +78,20 @@ async fn an_operator_drives_over_tcp_and_the_session_replays() {
 async fn a_held_key_drives_ahead_over_floor_that_no_sweep_has_measured() {
     // The key is down from the first moment on, so that the sweep at the start is dropped and the
     // guard line knows the floor's height from the class alone.
-    let Held { agent, .. } = hold_a_key(0.4, 14.0).await;
+    let Held { agent, .. } = hold_a_key(0.4, 0.0, 14.0).await;
     let running = agent.running().unwrap();
     let way_m = running.belief().path_m();
     assert!(way_m > 1.0, "{way_m:.2} m");
     let told: Vec<&str> = agent.journal().since(0).iter().map(|note| note.text.as_str()).collect();
     assert!(told.iter().any(|text| text.contains("the head is still turning")), "{told:?}");
+}
+
+/// Nothing looks behind: there the robot goes over ground that was seen or its own track only.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_held_key_does_not_drive_back_over_ground_that_nothing_has_seen() {
+    let Held { agent, .. } = hold_a_key(-0.3, 0.0, 5.0).await;
+    let way_m = agent.running().unwrap().belief().path_m();
+    assert!(way_m < 0.1, "{way_m:.2} m");
+    let notes = agent.journal().since(0);
+    assert!(notes.iter().any(|note| note.text.contains("neither seen nor driven over")));
 }

@@ -3,7 +3,10 @@
 use super::{Pilot, is_barrier};
 use crate::acquisition::ParkState;
 use crate::geometry::wrap_pi;
-use crate::navigation::{Conflict, DriveCommand, GuardVerdict, Pose2, speed::stopping_distance_m};
+use crate::navigation::speed::stopping_distance_m;
+use crate::navigation::{
+    Conflict, DriveCommand, FollowConfig, Footprint, GuardVerdict, Pose2, Trail,
+};
 use crate::terrain::{CellClass, Grid};
 use crate::time::Arrival;
 use serde::{Deserialize, Serialize};
@@ -113,7 +116,7 @@ impl Pilot {
             self.ahead(wanted, pose, grid, parked, now)
         } else if wanted.linear_mps < 0.0 {
             let slow = wanted.limited(self.slow_mps, config.turn_rps);
-            match self.held_back(slow, pose, grid) {
+            match self.hull(grid).held_back(slow, pose) {
                 Some(hold) => (0.0, Some(hold)),
                 None => (slow.linear_mps, None),
             }
@@ -124,9 +127,14 @@ impl Pilot {
             return (DriveCommand { linear_mps, ..wanted }, hold);
         }
         // What is left of a command whose way is closed is the turn.
-        let turn = self.held_in_turn(wanted.angular_rps, pose, grid);
+        let turn = self.hull(grid).held_in_turn(wanted.angular_rps, pose);
         let angular_rps = if turn.is_some() { 0.0 } else { wanted.angular_rps };
         (DriveCommand { linear_mps, angular_rps }, hold.or(turn))
+    }
+
+    fn hull<'a>(&'a self, grid: &'a Grid) -> Hull<'a> {
+        let (footprint, trail, config) = (&self.footprint, &self.trail, self.follower.config());
+        Hull { footprint, trail, config, grid }
     }
 
     /// Speed ahead that is left, and what holds the robot if none is.
@@ -138,20 +146,7 @@ impl Pilot {
         parked: ParkState,
         now: Arrival,
     ) -> (f64, Option<Hold>) {
-        let barrier = self.arc(wanted, pose, grid).find_map(|at| {
-            let found = self.footprint.conflict_among(grid, &at, Some(pose), is_barrier);
-            found.map(|conflict| barred_by(&conflict, Way::Ahead, pose, grid))
-        });
-        // Skid steering may turn less than it is told: no edge on the straight way either.
-        let straight = DriveCommand { angular_rps: 0.0, ..wanted };
-        let edge = || {
-            self.arc(straight, pose, grid).find_map(|at| {
-                let found =
-                    self.footprint.conflict_among(grid, &at, Some(pose), CellClass::is_edge);
-                found.map(|conflict| barred_by(&conflict, Way::Ahead, pose, grid))
-            })
-        };
-        let barrier = barrier.or_else(edge);
+        let barrier = self.hull(grid).held_ahead(wanted, pose);
         let seen = self.watch.surprise.filter(|_| self.watch.surprises > 0).map(Hold::Guard);
         let allowed_mps = match (barrier, self.surprise()) {
             (None, None) => self.allowed_mps(parked, now),
@@ -166,44 +161,67 @@ impl Pilot {
         let hold = (allowed_mps == 0.0).then(|| barrier.or(seen).unwrap_or(waiting));
         (allowed_mps, hold)
     }
+}
+
+/// The hull on the grid: what it would touch on its way.
+struct Hull<'a> {
+    footprint: &'a Footprint,
+    trail: &'a Trail,
+    config: &'a FollowConfig,
+    grid: &'a Grid,
+}
+
+impl Hull<'_> {
+    /// What the map holds against going ahead.
+    fn held_ahead(&self, wanted: DriveCommand, pose: &Pose2) -> Option<Hold> {
+        let met = |command: DriveCommand, counts: fn(CellClass) -> bool| {
+            self.arc(command, pose).find_map(|at| {
+                let found = self.footprint.conflict_among(self.grid, &at, Some(pose), counts)?;
+                Some(barred_by(&found, Way::Ahead, pose, self.grid))
+            })
+        };
+        // Skid steering may turn less than it is told: no edge on the straight way either.
+        let straight = DriveCommand { angular_rps: 0.0, ..wanted };
+        met(wanted, is_barrier).or_else(|| met(straight, CellClass::is_edge))
+    }
 
     /// What holds the robot from going back.
-    fn held_back(&self, wanted: DriveCommand, pose: &Pose2, grid: &Grid) -> Option<Hold> {
+    fn held_back(&self, wanted: DriveCommand, pose: &Pose2) -> Option<Hold> {
         let unfit = |class: CellClass| !class.is_drivable();
-        self.arc(wanted, pose, grid).find_map(|at| {
+        self.arc(wanted, pose).find_map(|at| {
             let on_track = self.trail.crumbs().iter().rev().any(|crumb| {
                 crumb.distance_m(&at.point()) <= TRACK_M
                     && wrap_pi(crumb.yaw_rad - at.yaw_rad).abs() <= TRACK_RAD
             });
             let counts = if on_track { is_barrier } else { unfit };
-            let conflict = self.footprint.conflict_among(grid, &at, Some(pose), counts)?;
-            Some(if is_barrier(conflict.class) {
-                barred_by(&conflict, Way::Back, pose, grid)
+            let found = self.footprint.conflict_among(self.grid, &at, Some(pose), counts)?;
+            Some(if is_barrier(found.class) {
+                barred_by(&found, Way::Back, pose, self.grid)
             } else {
-                Hold::Unseen { away_m: pose.distance_m(&grid.centre(conflict.cell)) }
+                Hold::Unseen { away_m: pose.distance_m(&self.grid.centre(found.cell)) }
             })
         })
     }
 
     /// What holds the robot from turning in place.
-    fn held_in_turn(&self, angular_rps: f64, pose: &Pose2, grid: &Grid) -> Option<Hold> {
-        let latency_s = self.follower.config().latency_s;
-        let turn_rad = (angular_rps.abs() * latency_s + TURN_AHEAD_RAD).copysign(angular_rps);
-        let steps = (turn_rad.abs() / TURN_STEP_RAD).ceil().max(1.0) as u32;
+    fn held_in_turn(&self, angular_rps: f64, pose: &Pose2) -> Option<Hold> {
+        let turn_rad = angular_rps.abs() * self.config.latency_s + TURN_AHEAD_RAD;
+        let steps = (turn_rad / TURN_STEP_RAD).ceil().max(1.0) as u32;
+        let step_rad = (turn_rad / f64::from(steps)).copysign(angular_rps);
         (1..=steps).find_map(|step| {
-            let at = pose.driven(0.0, turn_rad * f64::from(step) / f64::from(steps));
-            let conflict = self.footprint.conflict_among(grid, &at, Some(pose), is_barrier)?;
-            Some(barred_by(&conflict, Way::Turn, pose, grid))
+            let at = pose.driven(0.0, step_rad * f64::from(step));
+            let found = self.footprint.conflict_among(self.grid, &at, Some(pose), is_barrier)?;
+            Some(barred_by(&found, Way::Turn, pose, self.grid))
         })
     }
 
     /// Where the hull comes while the robot goes on as told and then stops, every half cell.
-    fn arc(&self, wanted: DriveCommand, pose: &Pose2, grid: &Grid) -> impl Iterator<Item = Pose2> {
-        let config = self.follower.config();
+    fn arc(&self, wanted: DriveCommand, pose: &Pose2) -> impl Iterator<Item = Pose2> {
+        let config = self.config;
         let speed_mps = wanted.linear_mps.abs();
         let way_m = config.stop_margin_m
             + stopping_distance_m(speed_mps, config.latency_s, config.deceleration_mps2);
-        let steps = (way_m / (0.5 * grid.cell_m()).max(0.01)).ceil().max(1.0);
+        let steps = (way_m / (0.5 * self.grid.cell_m()).max(0.01)).ceil().max(1.0);
         let step_m = (way_m / steps).copysign(wanted.linear_mps);
         let turn_rad = wanted.angular_rps * step_m.abs() / speed_mps.max(1e-6);
         let driven = move |at: &Pose2| Some(at.driven(step_m, turn_rad));
@@ -214,4 +232,78 @@ impl Pilot {
 fn barred_by(conflict: &Conflict, way: Way, pose: &Pose2, grid: &Grid) -> Hold {
     let away_m = pose.distance_m(&grid.centre(conflict.cell));
     Hold::Barrier { class: conflict.class, way, away_m }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::terrain::{CellIndex, GridCell, RobotShape};
+
+    const BACK: DriveCommand = DriveCommand { linear_mps: -0.15, angular_rps: 0.0 };
+    const AHEAD: DriveCommand = DriveCommand { linear_mps: 0.4, angular_rps: 0.0 };
+
+    /// 4 × 4 m of seen ground about the origin, with what `class` says of a cell's centre.
+    fn ground(class: impl Fn(f64, f64) -> Option<CellClass>) -> Grid {
+        let cells = (0..80 * 80).map(|at| {
+            let (x, y) = (f64::from(at % 80) - 39.5, f64::from(at / 80) - 39.5);
+            GridCell {
+                class: class(0.05 * x, 0.05 * y).unwrap_or(CellClass::Free),
+                sure: true,
+                room_m: 0.1,
+                ..GridCell::default()
+            }
+        });
+        Grid::from_cells(0.05, CellIndex { x: -40, y: -40 }, 80, cells.collect())
+    }
+
+    fn held(grid: &Grid, trail: &Trail, judge: impl Fn(&Hull<'_>) -> Option<Hold>) -> Option<Hold> {
+        let shape = RobotShape { length_m: 0.5, width_m: 0.5, ..RobotShape::default() };
+        let (footprint, config) = (Footprint::new(&shape, 0.15), FollowConfig::default());
+        judge(&Hull { footprint: &footprint, trail, config: &config, grid })
+    }
+
+    #[test]
+    fn an_edge_behind_the_robot_stops_it_on_its_own_track_too() {
+        let grid = ground(|x, _| (x < -0.45).then_some(CellClass::DropOff));
+        let mut trail = Trail::default();
+        for step in 0..=20 {
+            trail.note(&Pose2::default().driven(0.05 * f64::from(step) - 1.0, 0.0));
+        }
+        for trail in [Trail::default(), trail] {
+            let hold = held(&grid, &trail, |hull| hull.held_back(BACK, &Pose2::default()));
+            assert!(matches!(hold, Some(Hold::Barrier { way: Way::Back, .. })), "{hold:?}");
+        }
+        let open = ground(|_, _| None);
+        let free = |hull: &Hull<'_>| hull.held_back(BACK, &Pose2::default());
+        assert_eq!(held(&open, &Trail::default(), free), None);
+    }
+
+    #[test]
+    fn ground_behind_that_was_not_seen_stops_it_but_its_own_track_does_not() {
+        let grid = ground(|x, _| (x < -0.3).then_some(CellClass::Unknown));
+        let back = |hull: &Hull<'_>| hull.held_back(BACK, &Pose2::default());
+        let hold = held(&grid, &Trail::default(), back);
+        assert!(matches!(hold, Some(Hold::Unseen { .. })), "{hold:?}");
+        let mut trail = Trail::default();
+        for step in 0..=20 {
+            trail.note(&Pose2::default().driven(0.05 * f64::from(step) - 1.0, 0.0));
+        }
+        assert_eq!(held(&grid, &trail, back), None);
+    }
+
+    #[test]
+    fn an_edge_that_is_passed_nearly_in_parallel_stops_it() {
+        // The centre line stays 0.3 m from the edge for as far as it takes to stop; the hull does not.
+        let grid = ground(|x, y| (y > 0.42 - 0.2 * x).then_some(CellClass::Suspect));
+        let hold = held(&grid, &Trail::default(), |hull| hull.held_ahead(AHEAD, &Pose2::default()));
+        assert!(matches!(hold, Some(Hold::Barrier { way: Way::Ahead, .. })), "{hold:?}");
+    }
+
+    #[test]
+    fn a_turn_does_not_swing_a_corner_over_an_edge() {
+        let grid = ground(|_, y| (y > 0.36).then_some(CellClass::DropOff));
+        let turn = |hull: &Hull<'_>| hull.held_in_turn(0.6, &Pose2::default());
+        let hold = held(&grid, &Trail::default(), turn);
+        assert!(matches!(hold, Some(Hold::Barrier { way: Way::Turn, .. })), "{hold:?}");
+    }
 }
