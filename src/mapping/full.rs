@@ -24,7 +24,7 @@ pub struct FullConfig {
 
 /// How much worse than told odometry may be before the scan is no longer believed: the motion's
 /// standard deviations are widened by this when a scan does not fit the map.
-const WIDENING: f64 = 4.0;
+const WIDENING: f64 = 6.5;
 /// Pairs below which a scan is tried again with a widened motion.
 const FEW_PAIRS: usize = 3;
 /// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
