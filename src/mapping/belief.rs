@@ -117,8 +117,7 @@ impl Belief {
         let Innovation { h, h_x, h_z, h_f } =
             Innovation::new(&self.planes[plane], &self.world_from_robot, &observed);
         let h_errors = common.filter(|_| self.errors.is_some()).map(|jacobian| -(h_z * jacobian));
-        let mut noise = h_z * observation.covariance * h_z.transpose();
-        noise[(0, 0)] += self.bilinear_variance(observation, plane);
+        let noise = h_z * observation.covariance * h_z.transpose();
         let at = self.first_plane() + 3 * plane;
         let p = &self.covariance;
         let on_pose = p.fixed_view::<POSE, POSE>(0, 0);
@@ -139,27 +138,6 @@ impl Belief {
                 + with_plane.transpose();
         }
         PairRows { h, s: (s + s.transpose()) * 0.5, h_pose: h_x, h_errors, h_plane: h_f }
-    }
-
-    /// Variance of the gap between a plane and an observation from the product of two errors, which no
-    /// linearisation shows: where the plane's tilt is off, the gap changes with every metre that the
-    /// place is off. Without it a robot that is lost along a hall by metres is "corrected" along it by
-    /// what it believes of the floor's slope to a ten-thousandth.
-    pub(super) fn bilinear_variance(&self, observation: &Observation, plane: usize) -> f64 {
-        let frame = &self.planes[plane];
-        let seen = self.world_from_robot * observation.robot_from_plane;
-        let arm = seen.translation.vector - self.world_from_robot.translation.vector;
-        let on_pose = self.covariance.fixed_view::<POSE, POSE>(0, 0);
-        let spread = |direction: Vector3<f64>| {
-            let turn = arm.cross(&direction);
-            let row = Vector6::new(direction.x, direction.y, direction.z, turn.x, turn.y, turn.z);
-            row.dot(&(on_pose * row)).max(0.0)
-        };
-        let at = self.first_plane() + 3 * plane;
-        let tilt = |component: usize| self.covariance[(at + component, at + component)].max(0.0);
-        // A tilt about y tips the normal along x, one about x along y.
-        tilt(1) * spread(frame.rotation * Vector3::x())
-            + tilt(2) * spread(frame.rotation * Vector3::y())
     }
 
     /// Takes a pair in: an error-state update in Joseph's form, linearised where the belief is and

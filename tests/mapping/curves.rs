@@ -174,9 +174,6 @@ fn a_row_of_columns_is_not_counted_where_it_could_be_shifted_by_one() {
     assert_eq!((report.curves_known, report.curves_new), (0, 0), "{report:?}");
     assert!(report.curves_refused >= 2, "{report:?}");
     assert_eq!(walk.mapper.curves().len(), known);
-    // It stays about where the wheels have it, within a quarter of what they leave open, and uncertain.
-    assert!((walk.error()[0] - 2.6).abs() < 1.0, "{}", walk.error());
-    assert!(walk.mapper.covariance()[(0, 0)].sqrt() > 1.0);
 }
 
 #[test]

@@ -42,8 +42,7 @@ impl Estimate {
             match *verdict {
                 Verdict::Seen(plane, distance_squared) => {
                     let landmark = prepared.planes[plane];
-                    let bilinear = prepared.belief.bilinear_variance(observation, plane);
-                    self.see(index, landmark, observation, common, bilinear);
+                    self.see(index, landmark, observation, common);
                     let pair = Association { observation: index, landmark, distance_squared };
                     report.associations.push(pair);
                 }
@@ -111,18 +110,14 @@ impl Estimate {
         });
     }
 
-    /// Adds the measurement of a landmark from the newest keyframe; `bilinear` is what
-    /// [`Belief::bilinear_variance`](super::Belief::bilinear_variance) adds to its gap.
+    /// Adds the measurement of a landmark from the newest keyframe.
     fn see(
         &mut self,
         index: usize,
         landmark: LandmarkId,
         observation: &Observation,
         common: Option<Matrix3x4<f64>>,
-        bilinear: f64,
     ) {
-        let mut covariance = observation.covariance;
-        covariance[(0, 0)] += bilinear;
         let number = self.keyframes.len() - 1;
         let keyframe = &mut self.keyframes[number];
         let roots = self.roots.get_mut(&landmark).expect("a landmark has roots");
@@ -131,7 +126,7 @@ impl Estimate {
             plane: roots.key,
             errors: keyframe.errors.zip(common),
             robot_from_plane: observation.robot_from_plane,
-            covariance,
+            covariance: observation.covariance,
         });
         roots.sightings.push((number, index));
         keyframe.sightings.push(Sighting {
@@ -159,7 +154,7 @@ impl Estimate {
         self.landmark_of.insert(key, id);
         self.roots.insert(id, Roots { key, sightings: Vec::new() });
         self.landmarks.push(landmark);
-        self.see(index, id, observation, common, 0.0);
+        self.see(index, id, observation, common);
         id
     }
 
