@@ -46,8 +46,8 @@ pub enum Value {
     Pose(Isometry3<f64>),
     /// A plane's frame in the world; its error is (offset, tilt about y, tilt about x) in the frame.
     Plane(Isometry3<f64>),
-    /// A cylinder's axis in the world, z along it; its error is that of
-    /// [`curved`](super::curved).
+    /// A cylinder's axis in the world, z along it; its error is (offset along x, offset along y, tilt
+    /// towards x, tilt towards y) in the frame.
     Axis(Isometry3<f64>),
     /// A sphere's centre in the world; its error is a shift there.
     Centre(Point3<f64>),
