@@ -33,9 +33,10 @@ const EDGE: Colour = Colour::rgb(230, 0, 30);
 const PATH: Colour = Colour::rgb(0, 90, 220);
 const ROBOT: Colour = Colour::rgb(230, 160, 0);
 
-/// Draws patches, curved bodies, drop-offs and the path from above at a slant. Ceilings are left out, and so are
-/// walls seen from behind: the picture looks into the rooms. A map without patches, as that of a laser
-/// that does not tilt, shows the grid's obstacles as columns up to the robot's height.
+/// Draws patches, curved bodies, drop-offs and the path from above at a slant. Ceilings are left
+/// out, and so are walls seen from behind: the picture looks into the rooms. A map without patches,
+/// as that of a laser that does not tilt, shows the grid's obstacles as columns up to the robot's
+/// height.
 pub fn draw(
     landmarks: &[Landmark],
     curves: &[CurvedLandmark],

@@ -9,7 +9,7 @@ use super::graph::{Factor, Key, Value};
 use super::scan_errors::{ScanErrors, curve_error_jacobian};
 use crate::segmentation::{Segmentation, Shape, Surface};
 use nalgebra::{
-    Isometry3, Matrix3, Matrix4, Point3, Rotation3, Translation3, UnitQuaternion, Vector3, Vector4,
+    Isometry3, Matrix3, Matrix4, Point3, Translation3, UnitQuaternion, Vector3, Vector4,
 };
 use serde::{Deserialize, Serialize};
 
@@ -79,8 +79,7 @@ impl CurvedObservation {
                 let imperfect = Vector4::new(IMPERFECT_M, IMPERFECT_M, tilt, tilt);
                 (!short).then(|| Self {
                     kind: CurveKind::Cylinder,
-                    robot_from_curve: robot_from_grid
-                        * axis_frame(&cylinder.axis_point, &cylinder.axis),
+                    robot_from_curve: robot_from_grid * cylinder.grid_from_axis(),
                     covariance: cylinder.covariance.fixed_view::<4, 4>(0, 0)
                         + Matrix4::from_diagonal(&imperfect.component_mul(&imperfect)),
                     radius_m: cylinder.radius_m,
@@ -173,15 +172,6 @@ impl CurvedObservation {
             CurveKind::Sphere => Value::Centre(Point3::from(frame.translation.vector)),
         }
     }
-}
-
-/// The frame of an axis as [`Cylinder`](crate::segmentation::Cylinder) counts its directions.
-fn axis_frame(point: &Point3<f64>, axis: &Vector3<f64>) -> Isometry3<f64> {
-    let mut least = Vector3::zeros();
-    least[axis.iamin()] = 1.0;
-    let first = axis.cross(&least).normalize();
-    let basis = Rotation3::from_basis_unchecked(&[first, axis.cross(&first), *axis]);
-    Isometry3::from_parts(point.coords.into(), UnitQuaternion::from_rotation_matrix(&basis))
 }
 
 /// An axis frame moved by an error of its own, see the [module](self).

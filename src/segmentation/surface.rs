@@ -1,5 +1,8 @@
+use super::fit::across;
 use crate::geometry::{Plane, polygon_area};
-use nalgebra::{Isometry3, Matrix3, Matrix4, Matrix5, Point2, Point3, Unit, Vector3};
+use nalgebra::{
+    Isometry3, Matrix3, Matrix4, Matrix5, Point2, Point3, Rotation3, Unit, UnitQuaternion, Vector3,
+};
 use serde::{Deserialize, Serialize};
 
 /// The result of segmenting one [`PointGrid`](crate::scan::PointGrid).
@@ -96,6 +99,17 @@ pub struct Rejected {
     pub points: usize,
     /// Why it was dropped.
     pub reason: String,
+}
+
+impl Cylinder {
+    /// Pose of the axis in the frame of the grid: origin in the middle of the measured part, x and y
+    /// along the two directions of the covariance, z along the axis.
+    pub fn grid_from_axis(&self) -> Isometry3<f64> {
+        let (first, second) = across(&self.axis);
+        let basis = Rotation3::from_basis_unchecked(&[first, second, self.axis.into_inner()]);
+        let rotation = UnitQuaternion::from_rotation_matrix(&basis);
+        Isometry3::from_parts(self.axis_point.coords.into(), rotation)
+    }
 }
 
 impl PlanePatch {

@@ -1,9 +1,12 @@
 //! Cylinders and spheres of a scan: recognised once its planes have placed the robot, so that what is
 //! left to ask is which of a few columns each of them is.
 
+use super::upkeep::LOOP_SCANS;
 use super::{Arrival, CurveSighting, Estimate};
 use crate::mapping::curved::{CurveKind, CurvedLandmark, CurvedObservation};
+use crate::mapping::graph::{Factor, Key};
 use crate::mapping::report::UpdateReport;
+use nalgebra::Isometry3;
 
 /// Squared Mahalanobis distance within which a curve may be a landmark: 99.9 % of χ² with four and
 /// with three degrees of freedom.
@@ -110,7 +113,7 @@ impl Estimate {
     /// Distance between the nearest two curves of a kind about a landmark and its sighting, in the map
     /// or in the scan, [`SPACING_M`] at most.
     fn spacing_m(&self, slot: usize, seen: &CurvedObservation, all: &[CurvedObservation]) -> f64 {
-        let at = |frame: &nalgebra::Isometry3<f64>| frame.translation.vector;
+        let at = |frame: &Isometry3<f64>| frame.translation.vector;
         let landmark = &self.curves[slot];
         let mapped = self
             .curves
@@ -168,12 +171,7 @@ impl Estimate {
         Some(Fit { square, misfit_m: residual.rows_range(offsets).norm(), sigma_m })
     }
 
-    fn curve_factor(
-        &self,
-        arrival: &Arrival<'_>,
-        seen: &CurvedObservation,
-        key: super::Key,
-    ) -> super::Factor {
+    fn curve_factor(&self, arrival: &Arrival<'_>, seen: &CurvedObservation, key: Key) -> Factor {
         let keyframe = self.keyframes.last().expect("the scan's keyframe is there");
         let errors = keyframe.errors.map(|key| (key, &arrival.scan.errors));
         seen.factor(keyframe.pose, key, errors, &arrival.scan.robot_from_scan)
@@ -223,7 +221,7 @@ impl Estimate {
             if landmark.first_keyframe == number {
                 continue;
             }
-            report.loop_closed |= landmark.last_keyframe + super::upkeep::LOOP_SCANS < number;
+            report.loop_closed |= landmark.last_keyframe + LOOP_SCANS < number;
             report.curves_known += 1;
             landmark.extend(&curves[sighting.index], &pose, number);
         }

@@ -11,7 +11,7 @@ mod upkeep;
 use super::association::Assignment;
 use super::belief::Belief;
 use super::curved::CurvedLandmark;
-use super::graph::{Factor, FactorId, Graph, GraphConfig, Key, positive};
+use super::graph::{FactorId, Graph, GraphConfig, Key, positive};
 use super::index::{Bounds, SpatialIndex};
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;

@@ -106,20 +106,14 @@ impl Factor {
         match self {
             Self::Prior { pose, .. } | Self::Attitude { pose, .. } => vec![*pose],
             Self::Between { before, after, .. } => vec![*before, *after],
-            Self::Plane { pose, plane, errors, .. } => {
-                let mut keys = vec![*pose, *plane];
-                keys.extend(errors.as_ref().map(|(key, _)| *key));
-                keys
+            Self::Plane { pose, plane: seen, errors, .. }
+            | Self::Centre { pose, centre: seen, errors, .. } => {
+                let errors = errors.as_ref().map(|(key, _)| *key);
+                [*pose, *seen].into_iter().chain(errors).collect()
             }
             Self::Axis { pose, axis, errors, .. } => {
-                let mut keys = vec![*pose, *axis];
-                keys.extend(errors.as_ref().map(|(key, _)| *key));
-                keys
-            }
-            Self::Centre { pose, centre, errors, .. } => {
-                let mut keys = vec![*pose, *centre];
-                keys.extend(errors.as_ref().map(|(key, _)| *key));
-                keys
+                let errors = errors.as_ref().map(|(key, _)| *key);
+                [*pose, *axis].into_iter().chain(errors).collect()
             }
             Self::ErrorPrior { errors } => vec![*errors],
         }

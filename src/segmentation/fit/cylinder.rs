@@ -78,7 +78,7 @@ impl Start {
 
 /// Two unit vectors that complete `axis` to a frame: the first is `axis × e`, with `e` the
 /// coordinate axis that `axis` has least of, the second `axis ×` the first.
-fn across(axis: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+pub(in super::super) fn across(axis: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
     let least = axis.iamin();
     let mut helper = Vector3::zeros();
     helper[least] = 1.0;

@@ -12,6 +12,7 @@ mod sphere;
 mod sums;
 
 pub(super) use choose::{choose, improve_model, is_flat, settle, settle_known, settle_model};
+pub(super) use cylinder::across;
 pub(super) use plane::{PlaneFit, centroid_of, fit_plane, plane_of};
 pub(super) use sums::{Columns, PlaneSums, Reference, place::ERROR as SUMMED_ERROR};
 
