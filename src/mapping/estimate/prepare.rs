@@ -16,6 +16,9 @@ use nalgebra::{DMatrix, Isometry3, Matrix3x4, Matrix6, Vector3, Vector6};
 const MOST_CANDIDATES: usize = 120;
 /// Standard deviations within which a candidate is looked for.
 const REACH_SIGMAS: f64 = 3.5;
+/// Part of the widening of a motion over the ground that its height, roll and pitch are widened by:
+/// stuck wheels and pushes move a robot over the ground, they do not lift it off.
+const WIDENED_OFF_GROUND: f64 = 0.25;
 /// Limits of what an uncertain pose may open: beyond them nearly everything would be a candidate.
 const MOST_OPEN_M: f64 = 20.0;
 const MOST_OPEN_RAD: f64 = 0.6;
@@ -38,8 +41,8 @@ impl Prepared {
 
 impl Estimate {
     /// Predicts the pose, gathers the landmarks that the scan may show, and searches for jointly
-    /// compatible pairs. `widening` scales the standard deviations of the motion
-    /// over the ground.
+    /// compatible pairs. `widening`, at least 1, scales the standard deviations of the motion over the
+    /// ground; those off it grow by a quarter of that, if at all.
     pub(in crate::mapping) fn prepare(
         &self,
         arrival: &Arrival<'_>,
@@ -47,9 +50,9 @@ impl Estimate {
         widening: f64,
     ) -> Prepared {
         let scan = arrival.scan;
-        // Stuck wheels and pushes move a robot over the ground; they do not lift it off.
+        let off = (WIDENED_OFF_GROUND * widening).max(1.0);
         let widened =
-            Matrix6::from_diagonal(&Vector6::new(widening, widening, 1.0, 1.0, 1.0, widening));
+            Matrix6::from_diagonal(&Vector6::new(widening, widening, off, off, off, widening));
         let motion_covariance = widened * arrival.motion_covariance * widened;
         let before = self.last_pose();
         let predicted = before * arrival.motion;
