@@ -12,7 +12,7 @@ use crossterm::{event, terminal};
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
+use std::sync::mpsc::Receiver;
 use std::time::Duration;
 use tokio::sync::mpsc;
 
@@ -29,11 +29,16 @@ const LOOK: Duration = Duration::from_millis(100);
 /// Speeds at full: m/s and rad/s; the pilot lowers them to what the robot can do.
 const FULL: (f64, f64) = (0.7, 0.8);
 
+/// How long the reading thread may take to end. One that reads from a terminal that was closed never
+/// does; it ends with the program.
+const PATIENCE: Duration = Duration::from_millis(500);
+
 /// Keys being read; the terminal is put back when this is dropped.
 #[derive(Debug)]
 pub struct Keyboard {
     done: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    /// Closed when the reading thread ends.
+    ended: Receiver<()>,
 }
 
 impl Keyboard {
@@ -46,17 +51,19 @@ impl Keyboard {
         terminal::enable_raw_mode()?;
         let done = Arc::new(AtomicBool::new(false));
         let flag = done.clone();
-        let thread = std::thread::spawn(move || read(&sender, clock, &flag));
-        Ok(Self { done, thread: Some(thread) })
+        let (alive, ended) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            let _alive = alive;
+            read(&sender, clock, &flag);
+        });
+        Ok(Self { done, ended })
     }
 }
 
 impl Drop for Keyboard {
     fn drop(&mut self) {
         self.done.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        let _ = self.ended.recv_timeout(PATIENCE);
         let _ = terminal::disable_raw_mode();
     }
 }

@@ -7,6 +7,7 @@
 mod agent;
 mod autonomy;
 mod belief;
+mod bridge;
 mod closing;
 mod config;
 mod event;

@@ -3,13 +3,13 @@
 
 mod operated;
 
-pub use operated::Hold;
+pub use operated::{Hold, Way};
 
 use super::config::AgentConfig;
 use crate::acquisition::{GuardTilt, ParkState, guard_tilt};
 use crate::navigation::{
     Blocked, DriveCommand, FollowStatus, Follower, Footprint, Guard, GuardVerdict, Motion, Path,
-    Pose2, Recovery, RecoveryStep, StuckDetector, Trail, Trouble,
+    Pose2, Recovery, RecoveryStep, StuckDetector, Swath, Trail, Trouble,
 };
 use crate::robot::Rig;
 use crate::scan::LaserLine;
@@ -17,12 +17,19 @@ use crate::terrain::{CellClass, Grid, RobotShape};
 use crate::time::{Arrival, Span};
 use nalgebra::{Isometry3, Point2, Point3};
 use serde::{Deserialize, Serialize};
+use std::f64::consts::FRAC_PI_2;
 
 /// Lines in a row that must contradict the map before the robot turns back: one may be noise.
 const CONVINCING_LINES: u32 = 2;
 
 /// A place within this distance of something known counts as known.
 const KNOWN_WITHIN_M: f64 = 0.25;
+
+/// What an assumed way is wider than the circle that the hull turns in, on each side, in metres.
+const TURNING_M: f64 = 0.06;
+
+/// Steps in which a line across the way is looked at, in metres.
+const LINE_STEP_M: f64 = 0.04;
 
 /// What a cycle of following came to.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +54,7 @@ pub struct Pilot {
     guard_tilt: Option<GuardTilt>,
     watch: Watch,
     trail: Trail,
+    swath: Swath,
     stuck: StuckDetector,
     slow_mps: f64,
     guard_age: Span,
@@ -57,6 +65,8 @@ pub struct Pilot {
 struct Watch {
     /// When the way was last seen clear.
     clear: Option<Arrival>,
+    /// Nearest ground that was confirmed then, in metres ahead of the robot's centre.
+    ahead_m: Option<f64>,
     /// When any verdict last came.
     heard: Option<Arrival>,
     /// Contradictions in a row, and the last of them.
@@ -85,6 +95,7 @@ impl Pilot {
             guard_tilt,
             watch: Watch::default(),
             trail: Trail::default(),
+            swath: Swath::default(),
             stuck: StuckDetector::new(config.stuck.clone()),
             slow_mps: follow.slow_mps,
             guard_age: Span::from_seconds(config.mission.guard_age_s),
@@ -130,9 +141,33 @@ impl Pilot {
         self.trail.crumbs()
     }
 
+    /// Takes the hull's way from `pose` to `ahead_m` before it, wide enough to turn in, for ground, if
+    /// the line that crosses it there has met ground all along.
+    pub fn assume_way(&mut self, pose: &Pose2, ahead_m: f64) -> bool {
+        let half_m = self.shape.circumscribed_radius_m() + TURNING_M;
+        let steps = (half_m / LINE_STEP_M).ceil();
+        let across = |step: i32| {
+            let side = Pose2 { yaw_rad: pose.yaw_rad + FRAC_PI_2, ..pose.driven(ahead_m, 0.0) };
+            side.driven(half_m * f64::from(step) / steps, 0.0).point()
+        };
+        let is_whole =
+            (-(steps as i32)..=steps as i32).all(|step| self.swath.covers(&across(step)));
+        if is_whole {
+            self.swath.stood(&pose.driven(0.5 * ahead_m, 0.0), ahead_m, 2.0 * half_m);
+        }
+        is_whole
+    }
+
+    /// Notes where the robot is: the way back, and ground that bears.
+    pub fn passed(&mut self, pose: &Pose2) {
+        self.trail.note(pose);
+        self.swath.stood(pose, self.shape.length_m, self.shape.width_m);
+    }
+
     /// Carries the way back along when the robot's pose was corrected.
     pub fn corrected(&mut self, before: &Isometry3<f64>, after: &Isometry3<f64>) {
         self.trail.correct(before, after);
+        self.swath.correct(before, after);
     }
 
     /// Judges a line taken with the head parked.
@@ -144,10 +179,13 @@ impl Pilot {
         grid: &Grid,
         now: Arrival,
     ) {
+        for p in self.guard.level_ground(line, robot_from_sensor) {
+            self.swath.met(&(world_from_robot * p).xy());
+        }
         let verdict = self.guard.judge(line, robot_from_sensor, Some((world_from_robot, grid)));
         self.watch.heard = Some(now);
-        if verdict.is_clear() {
-            self.watch = Watch { clear: Some(now), heard: Some(now), ..Watch::default() };
+        if let GuardVerdict::Clear { ahead_m } = verdict {
+            self.watch = Watch { clear: Some(now), heard: Some(now), ahead_m, ..Watch::default() };
         } else if self.is_surprise(&verdict, world_from_robot, grid) {
             self.watch.surprises += 1;
             self.watch.surprise = Some(verdict);
@@ -157,7 +195,8 @@ impl Pilot {
     }
 
     /// Whether a verdict contradicts what the grid holds on the robot's own way. What the grid knows
-    /// is the follower's business, and what the path does not pass does not matter.
+    /// is the follower's business, and what the path does not pass does not matter. Without a path an
+    /// operator drives, and all that is ahead matters.
     fn is_surprise(
         &self,
         verdict: &GuardVerdict,
@@ -172,14 +211,23 @@ impl Pilot {
         let place = (world_from_robot * Point3::new(ahead_m, left_m, 0.0)).xy();
         let corridor_m = 0.5 * self.shape.width_m + 0.15;
         let path = self.follower.path();
-        let near_path =
-            path.nearest(&place, 0.0, path.length_m()).is_some_and(|(_, away)| away <= corridor_m);
+        let near_path = path.points().is_empty()
+            || path
+                .nearest(&place, 0.0, path.length_m())
+                .is_some_and(|(_, away)| away <= corridor_m);
         near_path && !is_known_barrier(grid, &place)
     }
 
     /// What a line said lately that should end any forward motion at once.
     pub fn surprise(&self) -> Option<GuardVerdict> {
         self.watch.surprise.filter(|_| self.watch.surprises >= CONVINCING_LINES)
+    }
+
+    /// Nearest ground ahead that the guard line confirms now, in metres from the robot's centre; `None`
+    /// where it does not find the way clear.
+    pub fn confirmed_ahead_m(&self, now: Arrival) -> Option<f64> {
+        let recent = self.watch.clear.is_some_and(|at| now - at <= self.guard_age);
+        self.watch.ahead_m.filter(|_| recent && self.watch.surprises == 0)
     }
 
     /// The greatest forward speed that the guard line allows now.
@@ -210,7 +258,7 @@ impl Pilot {
         parked: ParkState,
         now: Arrival,
     ) -> (DriveCommand, Progress) {
-        self.trail.note(pose);
+        self.passed(pose);
         if let Some(verdict) = self.surprise() {
             return (DriveCommand::STOP, Progress::Surprised(verdict));
         }

@@ -279,7 +279,10 @@ impl Running {
     /// Frontiers that are left, each with the reason.
     pub fn frontiers_left(&self) -> Vec<FrontierLeft> {
         self.frontiers_left.clone().unwrap_or_else(|| {
+            // Chinks that the hull does not fit into are of no use to whoever searches on.
+            let width_cells = self.shape.width_m / self.grid.cell_m().max(0.01);
             let found = self.explorer.frontiers(&self.grid).into_iter();
+            let found = found.filter(|f| f.reachable > 0 && f.cells as f64 >= width_cells);
             let unseen = |frontier: Frontier| FrontierLeft {
                 x: frontier.at.x,
                 y: frontier.at.y,

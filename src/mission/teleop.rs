@@ -1,10 +1,10 @@
 //! What the robot does at an operator's hand.
 
 use super::operator::{Mode, OperatorEvent};
-use super::pilot::Hold;
+use super::pilot::{Hold, Way};
 use super::running::{Activity, Desk, Look, Running};
 use crate::acquisition::ParkState;
-use crate::navigation::DriveCommand;
+use crate::navigation::{DriveCommand, Path};
 
 impl Running {
     /// Takes in an operator event.
@@ -64,6 +64,7 @@ impl Running {
         }
         self.explorer.give_up("the operator took over", desk.now);
         self.queue.clear();
+        self.pilot.set_path(Path::default());
         self.activity = Activity::Stand;
     }
 
@@ -72,6 +73,9 @@ impl Running {
         if self.mode == Mode::Auto {
             return false;
         }
+        let pose = self.pose2();
+        // Also where the robot rolls on after the last key: it is the way back.
+        self.pilot.passed(&pose);
         let Some((linear_mps, angular_rps)) = self.lease.command(desk.now) else {
             if self.mode == Mode::Teleop && matches!(self.activity, Activity::Stand) {
                 self.stop(desk);
@@ -84,9 +88,12 @@ impl Running {
         };
         let parked = self.guard_the_way(desk);
         self.renew_grid(desk);
-        let pose = self.pose2();
         let wanted = DriveCommand { linear_mps, angular_rps };
-        let (command, hold) = self.pilot.filter(wanted, &pose, &self.grid, parked, desk.now);
+        let attitude = self.belief.attitude().unwrap_or_default();
+        let (command, hold) = match self.pilot.righted(wanted, &attitude, &pose, &self.grid) {
+            Some(righted) => righted,
+            None => self.pilot.filter(wanted, &pose, &self.grid, parked, desk.now),
+        };
         self.tell_hold(hold, desk);
         self.drive(command, desk);
         true
@@ -100,13 +107,19 @@ impl Running {
         self.parked(desk.now)
     }
 
-    /// Tells the operator once why the robot does not move as told.
+    /// Tells the operator once why the robot does not move as told, unless that is the gap about the start,
+    /// which is assumed then.
     fn tell_hold(&mut self, hold: Option<Hold>, desk: &mut Desk<'_>) {
-        if let Some(hold) = &hold
-            && !self.held.as_ref().is_some_and(|told| told.is_like(hold))
-        {
-            desk.warn(format!("not moving: {hold}"));
-        }
+        let news = hold.filter(|hold| !self.held.is_some_and(|told| told.is_like(hold)));
         self.held = hold;
+        let is_gap = matches!(hold, Some(Hold::Unseen { way: Way::Ahead, .. }));
+        let is_bridged = is_gap
+            && (news.is_some() && self.bridge_blind_ring(desk) || self.bridge_to_guard_line(desk));
+        if is_bridged {
+            self.held = None;
+            return;
+        }
+        let Some(hold) = news else { return };
+        desk.warn(format!("not moving: {hold}"));
     }
 }

@@ -96,16 +96,16 @@ impl Footprint {
         pose: &Pose2,
         standing: Option<&Pose2>,
     ) -> Option<Conflict> {
-        self.conflict_among(grid, pose, standing, |_| true)
+        self.conflict_among(grid, pose, standing, |_, _| true)
     }
 
-    /// The same among the classes of cells that `counts` names.
+    /// The same among the cells that `counts` names by place and class.
     pub fn conflict_among(
         &self,
         grid: &Grid,
         pose: &Pose2,
         standing: Option<&Pose2>,
-        counts: impl Fn(CellClass) -> bool,
+        counts: impl Fn(CellIndex, CellClass) -> bool,
     ) -> Option<Conflict> {
         // The room already holds every margin: with the whole circle inside it nothing can touch.
         let roomy = grid.room_at(pose.x_m, pose.y_m) >= self.circumscribed_m;
@@ -122,7 +122,7 @@ impl Footprint {
                 let cell = CellIndex { x, y };
                 let here = grid.get(cell);
                 let class = here.class;
-                if !counts(class) {
+                if !counts(cell, class) {
                     continue;
                 }
                 // Ground that is not sure may lie beside the hull, not under it.

@@ -3,6 +3,9 @@ use crate::terrain::{CellClass, CellIndex, Grid, RobotShape};
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 
+/// Farther out the beams lie too far apart, and the line's height is too uncertain, to confirm ground.
+const CONFIRMED_M: f64 = 3.0;
+
 /// How the guard line is judged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -220,17 +223,37 @@ impl Guard {
         for beam in 0..line.len() {
             let Return::Hit(range_m) = line.classify(beam) else { continue };
             let p = origin + world_from_sensor * line.direction(beam) * range_m;
-            let tolerance_m =
-                0.5 * self.max_step_m + 3.0 * self.config.attitude_sigma_rad * range_m;
-            // Farther out the beams lie too far apart, and the line's height is too uncertain.
-            let met = range_m <= 3.0
+            let met = range_m <= CONFIRMED_M
                 && grid
                     .height_at(p.x, p.y)
-                    .is_some_and(|height_m| (p.z - height_m).abs() <= tolerance_m);
+                    .is_some_and(|height_m| (p.z - height_m).abs() <= self.level_m(range_m));
             if met {
                 grid.confirm(p.x, p.y);
             }
         }
+    }
+}
+
+impl Guard {
+    /// Where a line taken with the sensor at `robot_from_sensor` met ground that is level with what the
+    /// wheels stand on, in the robot frame.
+    pub fn level_ground(
+        &self,
+        line: &LaserLine,
+        robot_from_sensor: &Isometry3<f64>,
+    ) -> impl Iterator<Item = Point3<f64>> {
+        let origin = Point3::from(robot_from_sensor.translation.vector);
+        (0..line.len()).filter_map(move |beam| {
+            let Return::Hit(range_m) = line.classify(beam) else { return None };
+            let p = origin + robot_from_sensor * line.direction(beam) * range_m;
+            let level = (p.z - self.floor_z_robot_m).abs() <= self.level_m(range_m);
+            (range_m <= CONFIRMED_M && level).then_some(p)
+        })
+    }
+
+    /// How far from level ground may measure at `range_m`, in metres.
+    fn level_m(&self, range_m: f64) -> f64 {
+        0.5 * self.max_step_m + 3.0 * self.config.attitude_sigma_rad * range_m
     }
 }
 

@@ -3,7 +3,8 @@
 //! [`Planner`] finds the cheapest path over a [`Grid`](crate::terrain::Grid), [`Follower`] turns a
 //! [`Path`] into [`DriveCommand`]s one step at a time, and the functions in [`speed`] bound how fast.
 //! [`Guard`] watches the line on the ground ahead while the robot drives, [`StuckDetector`] and
-//! [`Recovery`] deal with what goes wrong, [`Trail`] remembers the way back.
+//! [`Recovery`] deal with what goes wrong, [`Trail`] remembers the way back and [`Swath`] the ground
+//! that the line has swept.
 //!
 //! All of it drives on seen or assumed ground only, and backwards only along the robot's own track.
 
@@ -17,6 +18,7 @@ mod plan_error;
 mod recover;
 pub mod speed;
 mod stuck;
+mod swath;
 mod trail;
 
 pub use cost_map::{CostMap, PlanConfig};
@@ -28,6 +30,7 @@ pub use plan::{CostField, Planner};
 pub use plan_error::{Barriers, PlanError};
 pub use recover::{Recovery, RecoveryConfig, RecoveryStep, Rung};
 pub use stuck::{Motion, StuckConfig, StuckDetector, Trouble};
+pub use swath::Swath;
 pub use trail::Trail;
 
 use crate::geometry::wrap_pi;

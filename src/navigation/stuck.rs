@@ -164,6 +164,11 @@ impl StuckDetector {
         self.way = None;
     }
 
+    /// Whether a body that rolls and pitches by so much, in radians, may tip over.
+    pub fn leans(&self, roll_rad: f64, pitch_rad: f64) -> bool {
+        roll_rad.abs().max(pitch_rad.abs()) > self.config.tilt_rad
+    }
+
     /// Takes in a sample and says what is wrong, if anything. Leaning is reported at once, the rest
     /// when a whole window was seen.
     pub fn note(&mut self, motion: Motion) -> Option<Trouble> {
@@ -179,7 +184,7 @@ impl StuckDetector {
         while self.samples.len() > 2 && motion.arrival - self.samples[1].motion.arrival >= window {
             self.samples.pop_front();
         }
-        if motion.roll_rad.abs().max(motion.pitch_rad.abs()) > self.config.tilt_rad {
+        if self.leans(motion.roll_rad, motion.pitch_rad) {
             let Motion { roll_rad, pitch_rad, .. } = motion;
             return Some(Trouble::Tilted { roll_rad, pitch_rad });
         }

@@ -3,11 +3,12 @@
 use super::{Pilot, is_barrier};
 use crate::acquisition::ParkState;
 use crate::geometry::wrap_pi;
+use crate::mission::motion::BodyAttitude;
 use crate::navigation::speed::stopping_distance_m;
 use crate::navigation::{
-    Conflict, DriveCommand, FollowConfig, Footprint, GuardVerdict, Pose2, Trail,
+    Conflict, DriveCommand, FollowConfig, Footprint, GuardVerdict, Pose2, Swath, Trail,
 };
-use crate::terrain::{CellClass, Grid};
+use crate::terrain::{CellClass, CellIndex, Grid};
 use crate::time::Arrival;
 use serde::{Deserialize, Serialize};
 
@@ -31,11 +32,15 @@ pub enum Hold {
         /// Metres from the robot's centre.
         away_m: f64,
     },
-    /// Ground behind that was neither seen nor driven over.
+    /// Ground on the way that was neither seen closely nor driven over.
     Unseen {
+        /// Which way the robot was to move.
+        way: Way,
         /// Metres from the robot's centre.
         away_m: f64,
     },
+    /// The body leans so far that it may tip over.
+    Leaning,
     /// The guard line sees something.
     Guard(GuardVerdict),
     /// The head is still on its way to where it sees the ground ahead.
@@ -62,7 +67,8 @@ impl Hold {
             (Self::Guard(a), Self::Guard(b)) => {
                 std::mem::discriminant(a) == std::mem::discriminant(b)
             }
-            (Self::Barrier { way: a, .. }, Self::Barrier { way: b, .. }) => a == b,
+            (Self::Barrier { way: a, .. }, Self::Barrier { way: b, .. })
+            | (Self::Unseen { way: a, .. }, Self::Unseen { way: b, .. }) => a == b,
             (a, b) => std::mem::discriminant(a) == std::mem::discriminant(b),
         }
     }
@@ -86,9 +92,19 @@ impl std::fmt::Display for Hold {
                     }
                 }
             }
-            Self::Unseen { away_m } => {
+            Self::Unseen { way: Way::Ahead, away_m } => {
+                write!(f, "ground {away_m:.2} m ahead was not seen closely yet")
+            }
+            Self::Unseen { way: Way::Back, away_m } => {
                 write!(f, "ground {away_m:.2} m behind was neither seen nor driven over")
             }
+            Self::Unseen { way: Way::Turn, away_m } => {
+                write!(
+                    f,
+                    "turning would touch ground {away_m:.2} m away that was not seen closely yet"
+                )
+            }
+            Self::Leaning => f.write_str("the robot leans too far: only back the way it came"),
             Self::Guard(verdict) => write!(f, "the guard line sees {verdict}"),
             Self::HeadMoves => f.write_str("the head is still turning to the ground ahead"),
             Self::NoLine => f.write_str("no laser line shows the ground ahead"),
@@ -97,19 +113,19 @@ impl std::fmt::Display for Hold {
 }
 
 impl Pilot {
-    /// What is left of an operator's command after the guard line and the grid, and what held it back:
-    /// the hull's way is judged as far as it takes to stop. Known obstacles and edges stop it; unknown
-    /// ground ahead does not, for the guard line sees what the grid does not hold, but behind it does,
-    /// where nothing looks: back it goes over ground that was seen or its own track only.
+    /// What is left of an operator's command after the guard line and the grid, and what held it back.
+    ///
+    /// The hull's way is judged as far as it takes to stop, over ground that a sweep has seen closely,
+    /// that the guard line has swept or that the robot stood on. A rig that never looks at the ground is
+    /// held by what the map holds only: there the operator has to see the edges.
     pub fn filter(
-        &mut self,
+        &self,
         wanted: DriveCommand,
         pose: &Pose2,
         grid: &Grid,
         parked: ParkState,
         now: Arrival,
     ) -> (DriveCommand, Option<Hold>) {
-        self.trail.note(pose);
         let config = self.follower.config();
         let wanted = wanted.limited(config.full_mps, config.turn_rps);
         let (linear_mps, hold) = if wanted.linear_mps > 0.0 {
@@ -132,9 +148,40 @@ impl Pilot {
         (DriveCommand { linear_mps, angular_rps }, hold.or(turn))
     }
 
+    /// What is left of an operator's command while the body leans so far that it may tip over: the way
+    /// back over the own track. `None` where it does not lean.
+    pub fn righted(
+        &self,
+        wanted: DriveCommand,
+        attitude: &BodyAttitude,
+        pose: &Pose2,
+        grid: &Grid,
+    ) -> Option<(DriveCommand, Option<Hold>)> {
+        if !self.stuck.leans(attitude.roll_rad, attitude.pitch_rad) {
+            return None;
+        }
+        let turn_rps = self.follower.config().turn_rps;
+        let back = (wanted.linear_mps < 0.0)
+            .then(|| self.trail.back_out(pose, self.slow_mps, turn_rps))
+            .flatten();
+        Some(match back {
+            Some(back) => match self.hull(grid).held_back(back, pose) {
+                None => (back, None),
+                hold => (DriveCommand::STOP, hold),
+            },
+            None => (DriveCommand::STOP, Some(Hold::Leaning)),
+        })
+    }
+
     fn hull<'a>(&'a self, grid: &'a Grid) -> Hull<'a> {
-        let (footprint, trail, config) = (&self.footprint, &self.trail, self.follower.config());
-        Hull { footprint, trail, config, grid }
+        Hull {
+            footprint: &self.footprint,
+            trail: &self.trail,
+            swath: &self.swath,
+            sees_ground: self.guard_tilt.is_some(),
+            config: self.follower.config(),
+            grid,
+        }
     }
 
     /// Speed ahead that is left, and what holds the robot if none is.
@@ -146,19 +193,24 @@ impl Pilot {
         parked: ParkState,
         now: Arrival,
     ) -> (f64, Option<Hold>) {
-        let barrier = self.hull(grid).held_ahead(wanted, pose);
-        let seen = self.watch.surprise.filter(|_| self.watch.surprises > 0).map(Hold::Guard);
-        let allowed_mps = match (barrier, self.surprise()) {
-            (None, None) => self.allowed_mps(parked, now),
-            _ => 0.0,
+        let ahead = self.hull(grid).held_ahead(wanted, pose);
+        let (barrier, unseen) = match ahead {
+            Some(Hold::Unseen { .. }) => (None, ahead),
+            _ => (ahead, None),
         };
+        let by_line_mps = self.allowed_mps(parked, now);
+        let is_open = ahead.is_none() && self.surprise().is_none();
+        let allowed_mps = if is_open { by_line_mps } else { 0.0 };
         if wanted.linear_mps <= allowed_mps {
             return (wanted.linear_mps, None);
         }
+        let seen = self.watch.surprise.filter(|_| self.watch.surprises > 0).map(Hold::Guard);
         let is_parked = matches!(parked, ParkState::Computed { .. } | ParkState::Verified { .. });
         let waiting = if is_parked { Hold::NoLine } else { Hold::HeadMoves };
+        // What the line may yet show is waited for first.
+        let waiting = Some(waiting).filter(|_| by_line_mps == 0.0);
         // Held at a creeping pace it goes on, and there is nothing to explain.
-        let hold = (allowed_mps == 0.0).then(|| barrier.or(seen).unwrap_or(waiting));
+        let hold = barrier.or(seen).or(waiting).or(unseen).filter(|_| allowed_mps == 0.0);
         (allowed_mps, hold)
     }
 }
@@ -167,6 +219,9 @@ impl Pilot {
 struct Hull<'a> {
     footprint: &'a Footprint,
     trail: &'a Trail,
+    swath: &'a Swath,
+    /// Whether the rig looks at the ground, so that ground it has not seen is a reason to stop.
+    sees_ground: bool,
     config: &'a FollowConfig,
     grid: &'a Grid,
 }
@@ -174,32 +229,31 @@ struct Hull<'a> {
 impl Hull<'_> {
     /// What the map holds against going ahead.
     fn held_ahead(&self, wanted: DriveCommand, pose: &Pose2) -> Option<Hold> {
-        let met = |command: DriveCommand, counts: fn(CellClass) -> bool| {
-            self.arc(command, pose).find_map(|at| {
-                let found = self.footprint.conflict_among(self.grid, &at, Some(pose), counts)?;
-                Some(barred_by(&found, Way::Ahead, pose, self.grid))
-            })
-        };
         // Skid steering may turn less than it is told: no edge on the straight way either.
         let straight = DriveCommand { angular_rps: 0.0, ..wanted };
-        met(wanted, is_barrier).or_else(|| met(straight, CellClass::is_edge))
+        let edge = || {
+            self.arc(straight, pose).find_map(|at| {
+                let counts = |_: CellIndex, class: CellClass| class.is_edge();
+                let found = self.footprint.conflict_among(self.grid, &at, Some(pose), counts)?;
+                Some(self.hold(&found, Way::Ahead, pose))
+            })
+        };
+        self.arc(wanted, pose).find_map(|at| self.held_at(&at, pose, Way::Ahead)).or_else(edge)
     }
 
-    /// What holds the robot from going back.
+    /// What holds the robot from going back: nothing looks there, so ground that was not seen counts
+    /// for every rig.
     fn held_back(&self, wanted: DriveCommand, pose: &Pose2) -> Option<Hold> {
-        let unfit = |class: CellClass| !class.is_drivable();
         self.arc(wanted, pose).find_map(|at| {
             let on_track = self.trail.crumbs().iter().rev().any(|crumb| {
                 crumb.distance_m(&at.point()) <= TRACK_M
                     && wrap_pi(crumb.yaw_rad - at.yaw_rad).abs() <= TRACK_RAD
             });
-            let counts = if on_track { is_barrier } else { unfit };
+            let counts = |cell, class| {
+                is_barrier(class) || !(on_track || class.is_drivable() || self.covered(cell))
+            };
             let found = self.footprint.conflict_among(self.grid, &at, Some(pose), counts)?;
-            Some(if is_barrier(found.class) {
-                barred_by(&found, Way::Back, pose, self.grid)
-            } else {
-                Hold::Unseen { away_m: pose.distance_m(&self.grid.centre(found.cell)) }
-            })
+            Some(self.hold(&found, Way::Back, pose))
         })
     }
 
@@ -209,10 +263,28 @@ impl Hull<'_> {
         let steps = (turn_rad / TURN_STEP_RAD).ceil().max(1.0) as u32;
         let step_rad = (turn_rad / f64::from(steps)).copysign(angular_rps);
         (1..=steps).find_map(|step| {
-            let at = pose.driven(0.0, step_rad * f64::from(step));
-            let found = self.footprint.conflict_among(self.grid, &at, Some(pose), is_barrier)?;
-            Some(barred_by(&found, Way::Turn, pose, self.grid))
+            self.held_at(&pose.driven(0.0, step_rad * f64::from(step)), pose, Way::Turn)
         })
+    }
+
+    /// What holds the hull from standing at `at`, on its way from `pose`.
+    fn held_at(&self, at: &Pose2, pose: &Pose2, way: Way) -> Option<Hold> {
+        let counts = |cell, class| is_barrier(class) || (self.sees_ground && !self.covered(cell));
+        let found = self.footprint.conflict_among(self.grid, at, Some(pose), counts)?;
+        Some(self.hold(&found, way, pose))
+    }
+
+    fn covered(&self, cell: CellIndex) -> bool {
+        self.swath.covers(&self.grid.centre(cell))
+    }
+
+    fn hold(&self, found: &Conflict, way: Way, pose: &Pose2) -> Hold {
+        let away_m = pose.distance_m(&self.grid.centre(found.cell));
+        if is_barrier(found.class) {
+            Hold::Barrier { class: found.class, way, away_m }
+        } else {
+            Hold::Unseen { way, away_m }
+        }
     }
 
     /// Where the hull comes while the robot goes on as told and then stops, every half cell.
@@ -227,11 +299,6 @@ impl Hull<'_> {
         let driven = move |at: &Pose2| Some(at.driven(step_m, turn_rad));
         std::iter::successors(driven(pose), driven).take(steps as usize)
     }
-}
-
-fn barred_by(conflict: &Conflict, way: Way, pose: &Pose2, grid: &Grid) -> Hold {
-    let away_m = pose.distance_m(&grid.centre(conflict.cell));
-    Hold::Barrier { class: conflict.class, way, away_m }
 }
 
 #[cfg(test)]
@@ -257,9 +324,19 @@ mod tests {
     }
 
     fn held(grid: &Grid, trail: &Trail, judge: impl Fn(&Hull<'_>) -> Option<Hold>) -> Option<Hold> {
+        held_with(grid, trail, &Swath::default(), true, judge)
+    }
+
+    fn held_with(
+        grid: &Grid,
+        trail: &Trail,
+        swath: &Swath,
+        sees_ground: bool,
+        judge: impl Fn(&Hull<'_>) -> Option<Hold>,
+    ) -> Option<Hold> {
         let shape = RobotShape { length_m: 0.5, width_m: 0.5, ..RobotShape::default() };
         let (footprint, config) = (Footprint::new(&shape, 0.15), FollowConfig::default());
-        judge(&Hull { footprint: &footprint, trail, config: &config, grid })
+        judge(&Hull { footprint: &footprint, trail, swath, sees_ground, config: &config, grid })
     }
 
     #[test]
@@ -305,5 +382,43 @@ mod tests {
         let turn = |hull: &Hull<'_>| hull.held_in_turn(0.6, &Pose2::default());
         let hold = held(&grid, &Trail::default(), turn);
         assert!(matches!(hold, Some(Hold::Barrier { way: Way::Turn, .. })), "{hold:?}");
+    }
+
+    #[test]
+    fn unseen_ground_ahead_or_beside_stops_it_until_the_line_has_swept_it() {
+        let grid = ground(|x, y| (x > 0.3 || y > 0.3).then_some(CellClass::Unknown));
+        let pose = Pose2::default();
+        let ahead = |hull: &Hull<'_>| hull.held_ahead(AHEAD, &pose);
+        let turn = |hull: &Hull<'_>| hull.held_in_turn(0.6, &pose);
+        let (trail, mut swath) = (Trail::default(), Swath::default());
+        let hold = held_with(&grid, &trail, &swath, true, ahead);
+        assert!(matches!(hold, Some(Hold::Unseen { way: Way::Ahead, .. })), "{hold:?}");
+        let hold = held_with(&grid, &trail, &swath, true, turn);
+        assert!(matches!(hold, Some(Hold::Unseen { way: Way::Turn, .. })), "{hold:?}");
+        // Of a rig that never sees the ground only the operator can know.
+        assert_eq!(held_with(&grid, &trail, &swath, false, ahead), None);
+        for (x, y) in (-20..=30).flat_map(|x| (-20..=20).map(move |y| (x, y))) {
+            swath.met(&nalgebra::Point2::new(0.05 * f64::from(x), 0.05 * f64::from(y)));
+        }
+        assert_eq!(held_with(&grid, &trail, &swath, true, ahead), None);
+        assert_eq!(held_with(&grid, &trail, &swath, true, turn), None);
+    }
+
+    #[test]
+    fn a_curve_into_ground_beside_the_line_stops_though_straight_on_is_swept() {
+        let grid = ground(|x, _| (x > 0.3).then_some(CellClass::Unknown));
+        let mut swath = Swath::default();
+        for (x, y) in (0..=40).flat_map(|x| (-6..=6).map(move |y| (x, y))) {
+            swath.met(&nalgebra::Point2::new(0.05 * f64::from(x), 0.05 * f64::from(y)));
+        }
+        let curve = DriveCommand { linear_mps: 0.4, angular_rps: 0.6 };
+        let judge = |wanted: DriveCommand| {
+            held_with(&grid, &Trail::default(), &swath, true, |hull| {
+                hull.held_ahead(wanted, &Pose2::default())
+            })
+        };
+        assert_eq!(judge(AHEAD), None);
+        let hold = judge(curve);
+        assert!(matches!(hold, Some(Hold::Unseen { way: Way::Ahead, .. })), "{hold:?}");
     }
 }
