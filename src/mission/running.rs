@@ -282,7 +282,7 @@ impl Running {
             // Chinks that the hull does not fit into are of no use to whoever searches on.
             let width_cells = self.shape.width_m / self.grid.cell_m().max(0.01);
             let found = self.explorer.frontiers(&self.grid).into_iter();
-            let found = found.filter(|f| f.reachable > 0 && f.cells as f64 >= width_cells);
+            let found = found.filter(|frontier| frontier.cells as f64 >= width_cells);
             let unseen = |frontier: Frontier| FrontierLeft {
                 x: frontier.at.x,
                 y: frontier.at.y,
