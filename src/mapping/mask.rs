@@ -6,6 +6,9 @@ use std::collections::BTreeMap;
 pub const MASK_CELL_M: f64 = 0.1;
 /// Cells along the edge of a tile; a tile is one `u64`.
 const TILE: i32 = 8;
+/// A cell's edge in fixed point.
+const CELL_BITS: u32 = 24;
+const ONE_CELL: f64 = (1 << CELL_BITS) as f64;
 /// Cells of which a mask is sampled when only nearness is asked.
 const NEAR_SAMPLES: usize = 200;
 /// Neighbouring points farther apart than this have not shown what lies between them: at grazing
@@ -90,36 +93,46 @@ impl PlaneMask {
     }
 
     /// Adds the cells of `other`, whose plane lies at `self_from_other` (its z is dropped).
+    ///
+    /// A lattice of half a cell meets every cell whatever the turn, so a filled area stays filled.
     pub fn merge(&mut self, other: &Self, self_from_other: &Isometry3<f64>) {
-        // Quarter points: a lattice of half a cell meets every cell whatever the turn, so a filled
-        // area stays filled.
-        let quarter = 0.25 * MASK_CELL_M;
         let turn = self_from_other.rotation.to_rotation_matrix().into_inner();
-        let shift = self_from_other.translation.vector;
-        // Bits of the tile that the walk is in; written out when it leaves.
-        let mut at = None;
-        let mut bits = 0;
-        for cell in other.cells() {
-            for (dx, dy) in
-                [(-quarter, -quarter), (quarter, -quarter), (-quarter, quarter), (quarter, quarter)]
-            {
-                let (u, v) = (cell.x + dx, cell.y + dy);
-                let x = cell_of(turn[(0, 0)] * u + turn[(0, 1)] * v + shift.x);
-                let y = cell_of(turn[(1, 0)] * u + turn[(1, 1)] * v + shift.y);
-                let tile = (x.div_euclid(TILE), y.div_euclid(TILE));
-                if at != Some(tile) {
-                    self.set_bits(at, bits);
-                    (at, bits) = (Some(tile), 0);
+        let shift = self_from_other.translation.vector / MASK_CELL_M;
+        // Cells in fixed point, so that a cell is a shift away.
+        let fixed = |cells: f64| (cells * ONE_CELL).round().clamp(-1e15, 1e15) as i64;
+        let half_step = |row: usize, column: usize| fixed(0.5 * turn[(row, column)]);
+        let (x_by_u, x_by_v) = (half_step(0, 0), half_step(0, 1));
+        let (y_by_u, y_by_v) = (half_step(1, 0), half_step(1, 1));
+        for (&(tile_x, tile_y), &bits) in &other.tiles {
+            // The first lattice point of the tile, a quarter of a cell within its corner.
+            let (u, v) = (f64::from(tile_x * TILE) + 0.25, f64::from(tile_y * TILE) + 0.25);
+            let x = fixed(turn[(0, 0)] * u + turn[(0, 1)] * v + shift.x);
+            let y = fixed(turn[(1, 0)] * u + turn[(1, 1)] * v + shift.y);
+            // Where the tile's corner that lies lowest comes to.
+            let side = 2 * i64::from(TILE) - 1;
+            let low = |at: i64, by_u: i64, by_v: i64| at + side * (by_u.min(0) + by_v.min(0));
+            let first_x = (low(x, x_by_u, x_by_v) >> CELL_BITS).div_euclid(i64::from(TILE));
+            let first_y = (low(y, y_by_u, y_by_v) >> CELL_BITS).div_euclid(i64::from(TILE));
+            // A turned tile spreads over three tiles at most in each axis.
+            let mut spread = [[0_u64; 3]; 3];
+            let mut left = bits;
+            while left != 0 {
+                let bit = left.trailing_zeros();
+                left &= left - 1;
+                let (column, row) = (i64::from(bit) % 8, i64::from(bit) / 8);
+                for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                    let (i, j) = (2 * column + i, 2 * row + j);
+                    let cell_x = ((x + i * x_by_u + j * x_by_v) >> CELL_BITS) - 8 * first_x;
+                    let cell_y = ((y + i * y_by_u + j * y_by_v) >> CELL_BITS) - 8 * first_y;
+                    let (cell_x, cell_y) = (cell_x as usize, cell_y as usize);
+                    spread[cell_y / 8][cell_x / 8] |= 1 << (cell_y % 8 * 8 + cell_x % 8);
                 }
-                bits |= 1 << (y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE));
             }
-        }
-        self.set_bits(at, bits);
-    }
-
-    fn set_bits(&mut self, tile: Option<(i32, i32)>, bits: u64) {
-        if let Some(tile) = tile {
-            *self.tiles.entry(tile).or_default() |= bits;
+            for (tile_y, row) in (first_y as i32..).zip(&spread) {
+                for (tile_x, bits) in (first_x as i32..).zip(row).filter(|(_, bits)| **bits != 0) {
+                    *self.tiles.entry((tile_x, tile_y)).or_default() |= bits;
+                }
+            }
         }
     }
 
