@@ -21,6 +21,9 @@ const REPLANS: u32 = 4;
 /// Goals given up in one place, one after the other, that show the robot wedged in.
 const WEDGED: u32 = 2;
 
+/// Way from the last sweep from which on another one shows something new, in metres.
+const MOVED_ON_M: f64 = 0.5;
+
 /// Rest after nothing could be planned, so that what moves may move on.
 const REST: Span = Span::from_millis(2_000);
 
@@ -349,7 +352,14 @@ impl Running {
             Progress::Surprised(verdict) => {
                 desk.info(format!("guard line: {verdict}; looking again"));
                 self.explorer.give_up("the guard line saw what the map does not hold", desk.now);
-                self.look_here(desk);
+                // Looks from one place that do not settle it lead nowhere.
+                self.give_ups =
+                    if self.belief.leg_m() > MOVED_ON_M { 0 } else { self.give_ups + 1 };
+                if self.give_ups > WEDGED {
+                    self.get_out(desk);
+                } else {
+                    self.look_here(desk);
+                }
             }
             Progress::Blocked(reason) => {
                 self.stop(desk);
@@ -397,25 +407,31 @@ impl Running {
         desk.info(format!("goal given up: {reason}"));
         self.explorer.give_up(reason, desk.now);
         self.give_ups += 1;
-        if self.belief.leg_m() > 0.5 {
+        if self.belief.leg_m() > MOVED_ON_M {
             // Having moved, a fresh look is worth its time.
             self.give_ups = 0;
             self.look_here(desk);
-        } else if self.give_ups >= WEDGED && self.belief.mend() {
-            desk.info("wedged in: the map is drawn anew from where its sweeps are believed now");
-            self.give_ups = 0;
-            self.activity = Activity::Rest { until: desk.now };
         } else if self.give_ups >= WEDGED {
-            self.give_ups = 0;
-            desk.warn("wedged in: backing out over the own track");
-            let trouble = Trouble::Stuck { commanded: 0.0, moved: 0.0 };
-            self.ledger.troubles += 1;
-            let pose = self.pose2();
-            let recovery = self.pilot.recover(desk.config, &trouble, &pose, desk.now);
-            self.activity = Activity::Recover { recovery: Box::new(recovery), gave_up: 0 };
+            self.get_out(desk);
         } else {
             self.activity = Activity::Rest { until: desk.now };
         }
+    }
+
+    /// Nothing leads away from here: the map is drawn anew if that changes it, else the robot backs out.
+    fn get_out(&mut self, desk: &mut Desk<'_>) {
+        self.give_ups = 0;
+        if self.belief.mend() {
+            desk.info("wedged in: the map is drawn anew from where its sweeps are believed now");
+            self.activity = Activity::Rest { until: desk.now };
+            return;
+        }
+        desk.warn("wedged in: backing out over the own track");
+        let trouble = Trouble::Stuck { commanded: 0.0, moved: 0.0 };
+        self.ledger.troubles += 1;
+        let pose = self.pose2();
+        let recovery = self.pilot.recover(desk.config, &trouble, &pose, desk.now);
+        self.activity = Activity::Recover { recovery: Box::new(recovery), gave_up: 0 };
     }
 
     fn recover_cycle(&mut self, desk: &mut Desk<'_>) {

@@ -182,7 +182,7 @@ impl Guard {
                     obstacle = nearer(obstacle, found);
                 }
             } else if in_corridor && rise_m < -tolerance_m {
-                if !known.is_closed(&due) {
+                if !known.is_closed(&due) && !known.is_mapped(&seen, tolerance_m) {
                     let depth_m = Some(-rise_m);
                     let found = GuardVerdict::DropOff { ahead_m: due.x, left_m: due.y, depth_m };
                     drop = nearer(drop, found);
@@ -280,12 +280,20 @@ impl Known<'_> {
 
     /// Whether a point lies on ground that is known to be drivable, at its height.
     fn is_ground(&self, p_robot: &Point3<f64>, tolerance_m: f64) -> bool {
+        self.is_mapped(p_robot, tolerance_m)
+            && self.known.is_some_and(|(world_from_robot, grid)| {
+                let p = world_from_robot * p_robot;
+                grid.class_at(p.x, p.y).is_drivable()
+            })
+    }
+
+    /// Whether the grid holds a surface of this level at a point's height, drivable or not. To a robot
+    /// that leans, as with one side on a ramp, level ground lies too low, and is no news.
+    fn is_mapped(&self, p_robot: &Point3<f64>, tolerance_m: f64) -> bool {
         self.known.is_some_and(|(world_from_robot, grid)| {
             let p = world_from_robot * p_robot;
-            grid.class_at(p.x, p.y).is_drivable()
-                && grid
-                    .height_at(p.x, p.y)
-                    .is_some_and(|height_m| (p.z - height_m).abs() <= tolerance_m)
+            let height_m = grid.height_at(p.x, p.y);
+            height_m.is_some_and(|height_m| (p.z - height_m).abs() <= tolerance_m)
         })
     }
 
@@ -315,12 +323,20 @@ impl Known<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::terrain::GridCell;
     use crate::time::Stamp;
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
     /// A line taken 0.6 m above the floor with a tilt of 26° down; `range(due, left)` gives each
     /// beam's range from what level ground predicts and where it meets it.
     fn judged(range: impl Fn(f64, f64) -> f64) -> GuardVerdict {
+        judged_on(range, None)
+    }
+
+    fn judged_on(
+        range: impl Fn(f64, f64) -> f64,
+        known: Option<(&Isometry3<f64>, &Grid)>,
+    ) -> GuardVerdict {
         let shape = RobotShape::default();
         let height_m = 0.6;
         let robot_from_sensor = Isometry3::from_parts(
@@ -340,7 +356,7 @@ mod tests {
             let due_m = if ray.z < -1e-6 { height_m / -ray.z } else { 99.0 };
             line.ranges_m.push(range(due_m.min(20.0), ray.y * due_m));
         }
-        Guard::new(GuardConfig::default(), &shape).judge(&line, &robot_from_sensor, None)
+        Guard::new(GuardConfig::default(), &shape).judge(&line, &robot_from_sensor, known)
     }
 
     #[test]
@@ -377,5 +393,30 @@ mod tests {
         assert!(matches!(verdict, GuardVerdict::Blind { .. }), "{verdict:?}");
         let one = judged(|due_m, left_m| if left_m.abs() < 0.015 { f64::NAN } else { due_m });
         assert!(one.is_clear(), "one lost beam: {one:?}");
+    }
+
+    #[test]
+    fn a_surface_that_the_map_holds_at_its_height_is_no_drop_off() {
+        let shape = RobotShape::default();
+        let floor_m = -0.25;
+        let world_from_robot = Isometry3::translation(0.0, 0.0, shape.base_above_floor_m);
+        // Where 0.6 m above the floor are 0.85 m above it.
+        let lower = |due_m: f64, _: f64| due_m * (0.6 - floor_m) / 0.6;
+        // What the map holds where the line is seen, 1.8 m ahead; before that, where it was due, is floor.
+        let on = |class: CellClass, height_m: f64| {
+            let cells = (0..80 * 80).map(|at| {
+                let far = at % 80 >= 40 + 32;
+                let (class, height_m) =
+                    if far { (class, height_m) } else { (CellClass::Free, 0.0) };
+                GridCell { class, height_m: height_m as f32, ..GridCell::default() }
+            });
+            let grid = Grid::from_cells(0.05, CellIndex { x: -40, y: -40 }, 80, cells.collect());
+            judged_on(lower, Some((&world_from_robot, &grid)))
+        };
+        // One side of the robot on a ramp: the floor ahead is too steep for it, but as mapped.
+        assert!(on(CellClass::TooSteep, floor_m).is_clear());
+        for verdict in [on(CellClass::Free, 0.0), on(CellClass::Unknown, f64::NAN)] {
+            assert!(matches!(verdict, GuardVerdict::DropOff { .. }), "{verdict:?}");
+        }
     }
 }
