@@ -133,6 +133,11 @@ fn table(folders: &[&Path], scores: &[Evaluation]) -> String {
     row("plane tilt median, deg", &|score| {
         score.planes.map(|p| format!("{:.3}", p.tilt_median_deg))
     });
+    row("NEES of keyframes (6)", &|score| score.nees.map(|nees| format!("{:.2}", nees.mean)));
+    row("within 95 %", &|score| score.nees.map(|nees| format!("{:.2}", nees.within_95)));
+    row("associations right / wrong", &|score| {
+        score.associations.map(|a| format!("{} / {}", a.right, a.wrong))
+    });
     row("falls", &|score| score.falls.map(|v| v.to_string()));
     row("collisions", &|score| score.collisions.map(|v| v.to_string()));
     row("victims found", &|score| score.victims_found.map(|v| v.to_string()));

@@ -1,6 +1,8 @@
 //! A run's files against the truth: what `usar eval` computes. Nothing here reaches an agent.
 
+use super::consistency::{self, Associations, Nees};
 use super::coverage::{self, Evidence, Passability};
+use super::keyframes::Keyframe;
 use super::report::Report;
 use super::score::{at, settled_s};
 use super::tum::TimedPose;
@@ -43,6 +45,8 @@ pub struct RunFiles {
     pub evidence: Option<Evidence>,
     /// `surfaces.json`.
     pub patches: Vec<Patch>,
+    /// `keyframes.json`.
+    pub keyframes: Vec<Keyframe>,
 }
 
 /// A run scored. A field that needs something that is not there is `None`.
@@ -70,6 +74,10 @@ pub struct Evaluation {
     pub coverage: Option<f64>,
     /// Planes of the map against the surfaces of the world.
     pub planes: Option<PlaneErrors>,
+    /// Errors of the keyframes against their covariance.
+    pub nees: Option<Nees>,
+    /// What planes were taken for.
+    pub associations: Option<Associations>,
     /// By the simulator's count.
     pub falls: Option<usize>,
     /// By the simulator's count.
@@ -145,6 +153,7 @@ pub fn evaluate(files: &RunFiles, world: Option<(&World, &Passability)>) -> Eval
     evaluation.ate = ate;
     evaluation.true_path_m = Some(path_m);
     evaluation.rpe = relative(&pairs);
+    evaluation.nees = consistency::nees(&files.keyframes, &files.truth);
     let Some((world, limits)) = world else { return evaluation };
     if let (Some(evidence), Some(first)) = (&files.evidence, files.truth.first()) {
         let start = Point3::from(first.pose.translation.vector);
@@ -155,6 +164,7 @@ pub fn evaluate(files: &RunFiles, world: Option<(&World, &Passability)>) -> Eval
         evaluation.coverage = (reachable_m2 > 0.0).then(|| explored_m2 / reachable_m2);
     }
     evaluation.planes = planes(files, world, &true_from_map);
+    evaluation.associations = consistency::associations(&files.keyframes, &files.truth, world);
     evaluation
 }
 
@@ -226,9 +236,9 @@ fn planes(files: &RunFiles, world: &World, true_from_map: &Isometry3<f64>) -> Op
     }
     let (mut offsets, mut tilts) = (Vec::new(), Vec::new());
     for patch in &files.patches {
-        if let Some((offset_m, tilt_deg)) = plane_error(patch, world, true_from_map) {
-            offsets.push(offset_m);
-            tilts.push(tilt_deg);
+        if let Some(found) = true_surface(patch, world, true_from_map) {
+            offsets.push(found.offset_m);
+            tilts.push(found.tilt_deg);
         }
     }
     let sizes: Vec<f64> = offsets.iter().map(|offset| offset.abs()).collect();
@@ -242,26 +252,48 @@ fn planes(files: &RunFiles, world: &World, true_from_map: &Isometry3<f64>) -> Op
     })
 }
 
-/// Offset and angle of a patch against the surface that most of its points lie on.
-fn plane_error(patch: &Patch, world: &World, true_from_map: &Isometry3<f64>) -> Option<(f64, f64)> {
+/// A true surface under a patch.
+pub(super) struct UnderPatch {
+    /// A point of it, in the world.
+    pub point: Point3<f64>,
+    /// Its outward unit normal, in the world.
+    pub normal: Vector3<f64>,
+    /// How far the patch lies before it, along the patch's normal, in metres.
+    pub offset_m: f64,
+    /// Angle between the two normals in degrees.
+    pub tilt_deg: f64,
+}
+
+/// The surface that most of a patch's points lie on; `None` where most lie on none. `true_from_map` leads
+/// from the patch's frame into the world.
+pub(super) fn true_surface(
+    patch: &Patch,
+    world: &World,
+    true_from_map: &Isometry3<f64>,
+) -> Option<UnderPatch> {
     let normal = true_from_map * patch.normal;
     let corners =
         patch.hull.iter().map(|corner| patch.centroid + (corner - patch.centroid) * (1.0 - INSET));
-    let mut found: Vec<(f64, f64)> = std::iter::once(patch.centroid)
+    let mut found: Vec<UnderPatch> = std::iter::once(patch.centroid)
         .chain(corners)
         .filter_map(|point| {
             let from = true_from_map * point + normal * SAME_SURFACE_M;
             let hit = world.cast_ray(&from, &-normal, 2.0 * SAME_SURFACE_M)?;
             let tilt_deg = Unit::new_normalize(hit.normal).angle(&normal).to_degrees();
             // A surface off the normal shifts the foot of the ray; the offset is along the normal.
-            (tilt_deg <= SAME_SURFACE_DEG).then_some((hit.range_m - SAME_SURFACE_M, tilt_deg))
+            (tilt_deg <= SAME_SURFACE_DEG).then_some(UnderPatch {
+                point: from - normal * hit.range_m,
+                normal: hit.normal,
+                offset_m: hit.range_m - SAME_SURFACE_M,
+                tilt_deg,
+            })
         })
         .collect();
     if 2 * found.len() <= patch.hull.len() {
         return None;
     }
-    found.sort_by(|a, b| a.0.total_cmp(&b.0));
-    Some(found[found.len() / 2])
+    found.sort_by(|a, b| a.offset_m.total_cmp(&b.offset_m));
+    Some(found.swap_remove(found.len() / 2))
 }
 
 fn path_length(path: &[TimedPose]) -> f64 {

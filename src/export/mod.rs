@@ -2,9 +2,11 @@
 
 pub mod canvas;
 pub mod cloud;
+pub mod consistency;
 pub mod coverage;
 pub mod evaluate;
 mod font;
+pub mod keyframes;
 pub mod landmarks;
 pub mod map3d;
 pub mod map_picture;

@@ -1,6 +1,7 @@
 //! The run folder: everything that a mission leaves behind.
 
 use super::coverage::Evidence;
+use super::keyframes::keyframes;
 use super::landmarks::{surface_polygons, surfaces_json};
 use super::map_picture::{self, Overlay};
 use super::map_server::{Cell, TrinaryMap};
@@ -97,6 +98,7 @@ pub fn map_files(agent: &Agent, title: &str) -> Files {
     let path: Vec<Isometry3<f64>> = poses.iter().map(|timed| timed.pose).collect();
     let places = Places::default().renewed(&grid);
     let places_json = serde_json::to_vec_pretty(&places).expect("numbers are always JSON");
+    let keyframes_json = serde_json::to_vec(&keyframes(belief)).expect("numbers are always JSON");
     let overlay = Overlay { places, ..overlay(running, title, &path) };
     let mapper = belief.mapper();
     // The surfaces are those of the map; the size is that of the newest scan that went into it.
@@ -115,6 +117,7 @@ pub fn map_files(agent: &Agent, title: &str) -> Files {
         ("ground.png", ground_png(&grid, belief)),
         ("planes.ply", ply::format(&surface_polygons(mapper)).into_bytes()),
         ("surfaces.json", surfaces),
+        ("keyframes.json", keyframes_json),
         ("places.json", places_json),
         ("map.png", map_picture::draw(&grid, &overlay).to_png()),
         (

@@ -30,7 +30,8 @@ pub enum RunError {
     },
 }
 
-/// Reads a run folder. Report and trajectory must be there; truth, map and surfaces may be missing.
+/// Reads a run folder. Report and trajectory must be there; truth, map, surfaces and keyframes may be
+/// missing.
 ///
 /// # Errors
 ///
@@ -47,6 +48,10 @@ pub fn load(folder: &Path) -> Result<RunFiles, RunError> {
         truth: parsed(folder, "truth.tum", poses)?.unwrap_or_default(),
         evidence: evidence(folder)?,
         patches: parsed(folder, "surfaces.json", patches)?.unwrap_or_default(),
+        keyframes: parsed(folder, "keyframes.json", |text| {
+            serde_json::from_str(text).map_err(|error| error.to_string())
+        })?
+        .unwrap_or_default(),
     })
 }
 

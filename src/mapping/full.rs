@@ -6,6 +6,7 @@ use super::curved::CurvedLandmark;
 use super::estimate::{Arrival, Attitude, Estimate, Prepared};
 use super::graph::GraphConfig;
 use super::landmark::{Landmark, LandmarkId};
+use super::observation::Observation;
 use super::perturbation::pose_error;
 use super::report::{MovedKeyframe, UpdateReport};
 use super::scan_errors::ScanObservations;
@@ -303,6 +304,11 @@ impl Full {
     /// Covariance of the motion between two scans, as a perturbation in the frame of the first.
     pub fn motion_covariance(&self, first: usize, second: usize) -> Option<Matrix6<f64>> {
         self.best().motion_covariance(first, second)
+    }
+
+    /// What the planes of a scan were taken for: landmark and observation of each.
+    pub fn sightings(&self, keyframe: usize) -> impl Iterator<Item = (LandmarkId, &Observation)> {
+        self.best().sightings(keyframe)
     }
 
     /// Poses at all scans.

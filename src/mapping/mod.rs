@@ -243,6 +243,15 @@ impl Mapper {
         }
     }
 
+    /// What the planes of a scan were taken for: landmark and observation of each. Empty for an unknown
+    /// scan and in the paper's mode, which forgets them.
+    pub fn sightings(&self, keyframe: usize) -> Vec<(LandmarkId, &Observation)> {
+        match &self.engine {
+            Engine::Mip { .. } => Vec::new(),
+            Engine::Full(full) => full.sightings(keyframe).collect(),
+        }
+    }
+
     /// The estimated pose at each scan so far, as corrected since.
     pub fn keyframes(&self) -> Vec<Isometry3<f64>> {
         match &self.engine {

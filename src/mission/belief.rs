@@ -199,6 +199,11 @@ impl Belief {
         self.mapper.world_from_robot() * self.leg.begin_from_robot().inverse()
     }
 
+    /// When the last row of each keyframe's sweep was taken; `None` for a sweep without stamps.
+    pub fn keyframe_stamps(&self) -> impl Iterator<Item = Option<Stamp>> {
+        self.settled_legs.iter().map(|settled| settled.sweep.rows().last()?.stamp)
+    }
+
     /// The mapper.
     pub fn mapper(&self) -> &Mapper {
         &self.mapper

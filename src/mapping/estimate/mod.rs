@@ -217,6 +217,15 @@ impl Estimate {
         Some(symmetric(&(rows * joint * rows.transpose())))
     }
 
+    /// What the planes of a scan were taken for: landmark and observation of each.
+    pub(super) fn sightings(
+        &self,
+        keyframe: usize,
+    ) -> impl Iterator<Item = (LandmarkId, &Observation)> {
+        let found = self.keyframes.get(keyframe).map(|keyframe| &keyframe.sightings);
+        found.into_iter().flatten().map(|sighting| (sighting.landmark, &sighting.observation))
+    }
+
     /// Poses at all scans.
     pub(super) fn poses(&self) -> Vec<Isometry3<f64>> {
         self.keyframes.iter().map(|keyframe| self.graph.pose(keyframe.pose)).collect()

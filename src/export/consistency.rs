@@ -1,0 +1,186 @@
+//! Whether a map knows how wrong it is: keyframes against the truth. Nothing here reaches an agent.
+
+use super::evaluate::{Patch, true_surface};
+use super::keyframes::{Keyframe, Sighting};
+use super::score::{at, settled_s};
+use super::tum::TimedPose;
+use crate::mapping::perturbation::pose_error;
+use crate::sim::World;
+use nalgebra::{Isometry3, Point3, Vector3};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// 95 % of a χ² variable of six degrees of freedom lie below this.
+const WITHIN_95: f64 = 12.592;
+
+/// Two sightings lie on one true surface if that surface's planes agree to this at each other's place.
+const SAME_PLANE_M: f64 = 0.005;
+const SAME_PLANE_RAD: f64 = 0.01;
+
+/// Normalised estimation errors squared of the motions from the first keyframe to each later one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Nees {
+    /// Keyframes compared.
+    pub keyframes: usize,
+    /// Mean; 6 for a filter that knows its errors. One run's keyframes share their errors, so it is no
+    /// sharp test.
+    pub mean: f64,
+    /// Share below the 95 % quantile of χ² with six degrees of freedom.
+    pub within_95: f64,
+}
+
+/// What planes were taken for, against the surfaces of the world that they lie on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Associations {
+    /// Sightings of a landmark on the surface on which most of its sightings are.
+    pub right: usize,
+    /// Sightings on another one.
+    pub wrong: usize,
+    /// Sightings that lie on no surface of the world, such as bodies and patches over an edge.
+    pub unknown: usize,
+}
+
+/// NEES of the keyframes; `None` without truth or covariances.
+pub fn nees(keyframes: &[Keyframe], truth: &[TimedPose]) -> Option<Nees> {
+    let pose_at = true_poses(truth)?;
+    let first = keyframes.first()?;
+    let first_true = pose_at(first)?;
+    let errors: Vec<f64> = keyframes[1..]
+        .iter()
+        .filter_map(|keyframe| {
+            let motion = first.pose.inverse() * keyframe.pose;
+            let true_motion = first_true.inverse() * pose_at(keyframe)?;
+            let error = pose_error(&true_motion, &motion);
+            let information = keyframe.motion_covariance?.try_inverse()?;
+            Some(error.dot(&(information * error)))
+        })
+        .collect();
+    let within = errors.iter().filter(|error| **error <= WITHIN_95).count();
+    (!errors.is_empty()).then(|| Nees {
+        keyframes: errors.len(),
+        mean: errors.iter().sum::<f64>() / errors.len() as f64,
+        within_95: within as f64 / errors.len() as f64,
+    })
+}
+
+/// Associations right and wrong; `None` without truth or sightings.
+pub fn associations(
+    keyframes: &[Keyframe],
+    truth: &[TimedPose],
+    world: &World,
+) -> Option<Associations> {
+    let pose_at = true_poses(truth)?;
+    let mut surfaces: BTreeMap<u32, Vec<TrueSurface>> = BTreeMap::new();
+    let mut score = Associations::default();
+    for keyframe in keyframes {
+        let Some(pose) = pose_at(keyframe) else { continue };
+        for sighting in &keyframe.sightings {
+            match TrueSurface::under(sighting, &pose, world) {
+                Some(surface) => surfaces.entry(sighting.landmark).or_default().push(surface),
+                None => score.unknown += 1,
+            }
+        }
+    }
+    for seen in surfaces.values() {
+        let agreeing = |one: &TrueSurface| seen.iter().filter(|other| one.is_like(other)).count();
+        let right = seen.iter().map(agreeing).max().unwrap_or(0);
+        score.right += right;
+        score.wrong += seen.len() - right;
+    }
+    (score != Associations::default()).then_some(score)
+}
+
+/// The true pose at a keyframe.
+fn true_poses(truth: &[TimedPose]) -> Option<impl Fn(&Keyframe) -> Option<Isometry3<f64>>> {
+    let from_s = settled_s(truth)?;
+    Some(move |keyframe: &Keyframe| at(truth, keyframe.time_s?.max(from_s)))
+}
+
+/// The plane of the world's surface that a sighting lies on, at the sighting's place.
+struct TrueSurface {
+    point: Point3<f64>,
+    normal: Vector3<f64>,
+}
+
+impl TrueSurface {
+    fn under(
+        sighting: &Sighting,
+        world_from_robot: &Isometry3<f64>,
+        world: &World,
+    ) -> Option<Self> {
+        let patch = Patch {
+            normal: sighting.normal,
+            centroid: sighting.centroid,
+            hull: sighting.hull.clone(),
+        };
+        let found = true_surface(&patch, world, world_from_robot)?;
+        Some(Self { point: found.point, normal: found.normal })
+    }
+
+    fn is_like(&self, other: &Self) -> bool {
+        let apart = other.point - self.point;
+        let off_m = apart.dot(&self.normal).abs().min(apart.dot(&other.normal).abs());
+        self.normal.angle(&other.normal) <= SAME_PLANE_RAD && off_m <= SAME_PLANE_M
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::MapFile;
+    use nalgebra::Matrix6;
+    use std::collections::BTreeMap;
+
+    fn truth() -> Vec<TimedPose> {
+        let pose = |i: u32| Isometry3::translation(0.1 * f64::from(i), 0.0, 0.2);
+        (0..=40).map(|i| TimedPose { time_s: f64::from(i), pose: pose(i) }).collect()
+    }
+
+    fn keyframe(time_s: f64, off_m: f64, sightings: Vec<Sighting>) -> Keyframe {
+        Keyframe {
+            time_s: Some(time_s),
+            pose: Isometry3::translation(0.1 * time_s + off_m, 0.0, 0.2),
+            motion_covariance: Some(Matrix6::identity() * 1e-4),
+            sightings,
+        }
+    }
+
+    #[test]
+    fn an_error_of_three_deviations_gives_nine() {
+        let keyframes = [
+            keyframe(2.0, 0.0, vec![]),
+            keyframe(10.0, 0.03, vec![]),
+            keyframe(20.0, 0.05, vec![]),
+        ];
+        let nees = nees(&keyframes, &truth()).unwrap();
+        assert_eq!(nees.keyframes, 2);
+        assert!((nees.mean - (9.0 + 25.0) / 2.0).abs() < 1e-6, "{nees:?}");
+        assert!((nees.within_95 - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_sighting_of_another_surface_is_wrong() {
+        // Two floors, the second 0.1 m higher from x = 2 m on.
+        let map = "name = \"m\"\nbounds = [-1.0, -2.0, 6.0, 2.0]\n\
+                   [[box]]\ncenter = [0.5, 0.0, -0.5]\nsize = [3.0, 4.0, 1.0]\n\
+                   [[box]]\ncenter = [4.0, 0.0, -0.4]\nsize = [4.0, 4.0, 1.0]\n";
+        let world = World::new(&MapFile::parse(map).unwrap(), &BTreeMap::new()).unwrap();
+        // A patch of floor ahead of the robot, whose origin is 0.2 m above the lower floor.
+        let floor = |x: f64, z: f64| Sighting {
+            landmark: 3,
+            normal: Vector3::z(),
+            centroid: Point3::new(x, 0.0, z),
+            hull: [(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)]
+                .map(|(dx, dy)| Point3::new(x + dx, dy, z))
+                .to_vec(),
+        };
+        let seen = [
+            keyframe(2.0, 0.0, vec![floor(0.5, -0.2)]),
+            keyframe(5.0, 0.0, vec![floor(0.8, -0.2)]),
+            keyframe(10.0, 0.0, vec![floor(2.0, -0.1)]),
+            keyframe(11.0, 0.0, vec![floor(9.0, -0.2)]),
+        ];
+        let score = associations(&seen, &truth(), &world).unwrap();
+        assert_eq!(score, Associations { right: 2, wrong: 1, unknown: 1 });
+    }
+}

@@ -1,0 +1,59 @@
+//! `keyframes.json`: where the robot stood when it looked, how sure it is of that, and which landmark it
+//! took each plane for.
+
+use crate::mapping::Mapper;
+use crate::mission::Belief;
+use crate::time::Stamp;
+use nalgebra::{Isometry3, Matrix6, Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// One scan that went into the map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Keyframe {
+    /// Level time of its last row in seconds; `None` where the scan had no stamps.
+    pub time_s: Option<f64>,
+    /// Estimated pose in the map frame: `translation` in metres, `rotation` as a quaternion (x, y, z, w).
+    pub pose: Isometry3<f64>,
+    /// Covariance of the motion from the first keyframe, as a perturbation (translation in metres, rotation
+    /// vector in radians) in the frame of the first; `None` in the paper's mode, which keeps none.
+    pub motion_covariance: Option<Matrix6<f64>>,
+    /// The planes seen, in the robot frame.
+    pub sightings: Vec<Sighting>,
+}
+
+/// A plane seen in a scan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sighting {
+    /// `id` of the landmark in `surfaces.json` that it was taken for.
+    pub landmark: u32,
+    /// Unit normal towards the free side.
+    pub normal: Vector3<f64>,
+    /// Centre of gravity of its points.
+    pub centroid: Point3<f64>,
+    /// Corners of its hull.
+    pub hull: Vec<Point3<f64>>,
+}
+
+/// The keyframes of a belief, in order.
+pub fn keyframes(belief: &Belief) -> Vec<Keyframe> {
+    let mapper = belief.mapper();
+    let record = |(number, (pose, stamp)): (usize, (Isometry3<f64>, Option<Stamp>))| Keyframe {
+        time_s: stamp.map(Stamp::seconds),
+        pose,
+        motion_covariance: mapper.motion_covariance(0, number),
+        sightings: sightings(mapper, number),
+    };
+    mapper.keyframes().into_iter().zip(belief.keyframe_stamps()).enumerate().map(record).collect()
+}
+
+fn sightings(mapper: &Mapper, number: usize) -> Vec<Sighting> {
+    let planes = mapper.sightings(number).into_iter();
+    planes
+        .map(|(landmark, seen)| Sighting {
+            landmark: landmark.0,
+            normal: seen.robot_from_plane.rotation * Vector3::z(),
+            centroid: Point3::from(seen.robot_from_plane.translation.vector),
+            hull: seen.hull_points().collect(),
+        })
+        .collect()
+}
