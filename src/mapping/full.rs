@@ -45,6 +45,8 @@ const MOST_AGAINST: f64 = 100.0;
 /// fewer another explanation may then have.
 const LARGE_M: f64 = 0.1;
 const LARGE_RAD: f64 = 0.03;
+/// The same for the height: a kerb beside the floor is another surface for the same wheels.
+const LARGE_UP_M: f64 = 0.03;
 const SLACK: usize = 2;
 /// Corrections that need proof.
 const FAR_M: f64 = 0.8;
@@ -152,7 +154,10 @@ impl Full {
         let pairs = found.pairs.len();
         let expected = arrival.scan.observations.len().min(config.anchors) / 3;
         let few = !estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS);
-        let large = moves_far(&predicted, &found.belief.world_from_robot, LARGE_M, LARGE_RAD);
+        let corrected = &found.belief.world_from_robot;
+        let lift_m = corrected.translation.z - predicted.translation.z;
+        let large =
+            moves_far(&predicted, corrected, LARGE_M, LARGE_RAD) || lift_m.abs() > LARGE_UP_M;
         let place = prepared.len();
         let plainly = !few && !large && plain.assignments.len() == 1 && self.hypotheses.len() == 1;
         if plainly {

@@ -77,7 +77,8 @@ impl Estimate {
         let around = around.map(|p| world_from_robot * p).chain([eye]);
         let position_covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let walls: Vec<Wall<'_>> = self
-            .landmarks_about(around)
+            // A wall that the points are said to stand before lies beyond all of them.
+            .landmarks_about(around, DOUBLED_M)
             .filter_map(|l| Wall::facing(l, &eye, &position_covariance))
             .collect();
         let mut found = Contradiction {

@@ -170,12 +170,13 @@ impl Estimate {
         self.slot(id).map(|slot| &self.landmarks[slot])
     }
 
-    /// The landmarks whose boxes meet the box around some points.
+    /// The landmarks whose boxes meet the box around some points, `margin_m` wider on each side.
     pub(super) fn landmarks_about(
         &self,
         points: impl IntoIterator<Item = Point3<f64>>,
+        margin_m: f64,
     ) -> impl Iterator<Item = &Landmark> {
-        let near = Bounds::around(points, 0.0).map(|bounds| self.index.query(&bounds));
+        let near = Bounds::around(points, margin_m).map(|bounds| self.index.query(&bounds));
         near.into_iter().flatten().filter_map(|id| self.landmark(LandmarkId(id)))
     }
 
