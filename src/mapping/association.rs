@@ -97,7 +97,9 @@ impl Assignment {
     /// Whether it puts the robot well away from another pose.
     pub(super) fn apart_from(&self, world_from_robot: &Isometry3<f64>) -> bool {
         let gap = pose_error(&self.belief.world_from_robot, world_from_robot);
-        gap.fixed_rows::<3>(0).norm() > APART_M || gap.fixed_rows::<3>(3).norm() > APART_RAD
+        gap.fixed_rows::<3>(0).norm() > APART_M
+            || gap[2].abs() > APART_UP_M
+            || gap.fixed_rows::<3>(3).norm() > APART_RAD
     }
 }
 
@@ -122,6 +124,8 @@ const SETTLED_RAD: f64 = 0.0005;
 /// Two assignments differ when they put the robot this far apart.
 const APART_M: f64 = 0.10;
 const APART_RAD: f64 = 0.03;
+/// The same for the height: a kerb is this much higher than the floor beside it.
+const APART_UP_M: f64 = 0.03;
 /// Most that the tightness of one pair may say for a place. The misfit that a true pair has on average
 /// takes 3/2 of it; the rest says that a pair fits by chance once in twenty.
 const MOST_PER_PAIR: f64 = 4.5;
