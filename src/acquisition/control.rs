@@ -1,3 +1,5 @@
+mod rhythm;
+
 use super::body::BodyTrack;
 use super::clock::{ClockStep, StampClock};
 use super::config::AcquisitionConfig;
@@ -9,8 +11,8 @@ use crate::robot::{Demand, HeadPose, JointAngle, ScanHead};
 use crate::scan::LaserLine;
 use crate::time::{Arrival, Span, Stamp};
 use nalgebra::Isometry3;
+pub(super) use rhythm::{Disorder, LineRhythm};
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
 
 /// What is known of the scan head over time: clocks, joints, and the rhythm of the laser.
 ///
@@ -304,35 +306,6 @@ impl HeadControl {
     }
 }
 
-/// Messages that arrived after others which were stamped later.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct Disorder {
-    /// Readings of the tilt.
-    pub readings: u32,
-    /// Lines of the laser.
-    pub lines: u32,
-    /// How far behind the newest line the latest of them came.
-    pub lines_late: Span,
-}
-
-impl Disorder {
-    /// Whether anything came out of order since `before`.
-    pub(super) fn grew_since(&self, before: &Self) -> bool {
-        self.readings > before.readings || self.lines > before.lines
-    }
-
-    /// What came out of order since `before`, in words for an operator.
-    pub(super) fn remark_since(&self, before: &Self) -> Option<String> {
-        self.grew_since(before).then(|| {
-            format!(
-                "{} readings of the tilt and {} lines came out of order: each counts by its own time",
-                self.readings - before.readings,
-                self.lines - before.lines
-            )
-        })
-    }
-}
-
 /// Times until a joint rests at a target, in seconds of simulated time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Settle {
@@ -355,75 +328,5 @@ impl Settle {
         let error = track.error_bound_rad(target_rad, in_force) + tolerance_rad;
         let total_s = law.settle_s(error, tolerance_rad);
         Some(Self { slew_s: law.slew_s(error), total_s })
-    }
-}
-
-/// When lines come, and how many beams they have.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(super) struct LineRhythm {
-    recent: VecDeque<Stamp>,
-    last_arrival: Option<Arrival>,
-    lines: u64,
-    beams: Option<usize>,
-    other: Option<(usize, u32)>,
-}
-
-impl LineRhythm {
-    /// The laser's interval until it is measured: the UT2004 timer and UDK's ScanInterval.
-    const USUAL_INTERVAL: Span = Span::from_millis(200);
-    const KEPT: usize = 16;
-    /// Lines of another length that make it the usual one: a cut line comes alone.
-    const CONVINCING: u32 = 3;
-
-    fn note(&mut self, line: &LaserLine, now: Arrival) {
-        self.last_arrival = Some(now);
-        self.lines += 1;
-        // In order of the stamps: the interval is the laser's, not that of the arrivals.
-        let at = self.recent.partition_point(|&stamp| stamp < line.stamp);
-        if self.recent.get(at) != Some(&line.stamp) {
-            self.recent.insert(at, line.stamp);
-            if self.recent.len() > Self::KEPT {
-                self.recent.pop_front();
-            }
-        }
-        let beams = line.len();
-        if self.beams.is_none_or(|usual| usual == beams) {
-            self.beams = Some(beams);
-            self.other = None;
-            return;
-        }
-        let seen = self.other.filter(|&(other, _)| other == beams).map_or(1, |(_, n)| n + 1);
-        self.other = Some((beams, seen));
-        if seen >= Self::CONVINCING {
-            self.beams = Some(beams);
-            self.other = None;
-        }
-    }
-
-    fn forget_times(&mut self) {
-        self.recent.clear();
-    }
-
-    /// Median time between lines.
-    pub(super) fn interval(&self) -> Span {
-        let mut gaps: Vec<Span> =
-            self.recent.iter().zip(self.recent.iter().skip(1)).map(|(a, b)| *b - *a).collect();
-        gaps.sort();
-        gaps.get(gaps.len() / 2).copied().unwrap_or(Self::USUAL_INTERVAL)
-    }
-
-    /// Whether a line has the length that lines of this scanner have.
-    pub(super) fn is_whole(&self, line: &LaserLine) -> bool {
-        self.beams.is_none_or(|beams| beams == line.len()) && !line.is_empty()
-    }
-
-    /// The newest stamp of a line.
-    fn newest(&self) -> Option<Stamp> {
-        self.recent.back().copied()
-    }
-
-    /// When the last line arrived.
-    pub(super) fn last_arrival(&self) -> Option<Arrival> {
-        self.last_arrival
     }
 }

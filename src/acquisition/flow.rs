@@ -1,12 +1,16 @@
 //! Sweeps in which the tilt never stops: motion and laser overlap, and each line is filed under the
 //! tilt it was taken at.
 
+mod closing;
+mod progress;
+mod spending;
+
 use super::config::AcquisitionConfig;
 use super::control::{Disorder, HeadControl};
-use super::dated::{Taken, dated_rows};
+use super::dated::Taken;
 use super::profile::QuarterDegrees;
 use super::ramp::Ramp;
-use super::scan::{FiledRow, Scan, ScanErrors, TimeBudget, image_of};
+use super::scan::{Scan, TimeBudget};
 use super::way::Way;
 use super::{HeadAction, HeadEvent};
 use crate::robot::Demand;
@@ -75,15 +79,6 @@ enum Stage {
     Closing,
     Finished,
 }
-
-/// Lines without progress after which the tilt is taken to be stuck.
-const IDLE_LINES: u32 = 15;
-/// Time given to a last reading, beyond what readings are late anyway.
-const CLOSING: Span = Span::from_millis(450);
-/// Readings later than this are not waited for.
-const LATEST: Span = Span::from_millis(3_000);
-/// Readings later than this are remarkable.
-const LATE: Span = Span::from_millis(500);
 
 impl Flow {
     /// A sweep over `profile`, already clipped and turned the way it is to run; its first actions.
@@ -334,69 +329,6 @@ impl Flow {
         }
     }
 
-    fn note_progress(&mut self, came_on: bool, tilt_rad: f64) {
-        if came_on {
-            self.furthest_rad = tilt_rad;
-            self.idle_lines = 0;
-        } else {
-            self.idle_lines += 1;
-        }
-    }
-
-    /// Whether the tilt has not come on for so many lines that it must be at rest.
-    fn rests(&self, control: &HeadControl) -> bool {
-        // A slow approach moves by little between lines; only readings can tell it from a stop.
-        self.idle_lines >= IDLE_LINES && !control.tilt.moves(control.clock().latest())
-    }
-
-    /// Where a tilt rests that is not where it should be: as it reads itself, where it does.
-    fn rests_at_rad(&self, control: &HeadControl) -> f64 {
-        control.tilt.last_reading().map_or(self.furthest_rad, |reading| reading.angle_rad)
-    }
-
-    fn end_if_stuck(
-        &mut self,
-        control: &mut HeadControl,
-        now: Arrival,
-        actions: &mut Vec<HeadAction>,
-    ) -> bool {
-        if !self.rests(control) {
-            return false;
-        }
-        self.remarks.push(format!(
-            "the tilt rests at {:.2}° though {} was demanded: the sweep ends there",
-            self.rests_at_rad(control).to_degrees(),
-            self.demanded
-        ));
-        self.finish(control, now, actions);
-        true
-    }
-
-    fn close(&mut self, control: &mut HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
-        self.stage = Stage::Closing;
-        self.ramp = None;
-        if let FlowDrive::Rate { .. } = self.way.drive {
-            actions.push(HeadAction::Send(control.command_tilt(Demand::Rate(0.0), now)));
-        }
-        // Without readings there is nothing to wait for.
-        let reads = control.tilt.last_reading().is_some();
-        let awaits = self.awaits_stragglers(control);
-        if !awaits && (!reads || self.is_dated(control)) {
-            self.finish(control, now, actions);
-        } else {
-            let lines_late = if awaits { control.disorder().lines_late } else { Span::ZERO };
-            let late = self.readings_late.max(lines_late).min(LATEST);
-            self.deadline = now + control.clock().arrival_span(CLOSING + late);
-        }
-    }
-
-    /// Whether a reading later than the last line's casting has come.
-    fn is_dated(&self, control: &HeadControl) -> bool {
-        let Some(last) = self.taken.last() else { return true };
-        let cast = control.cast_time(&last.line);
-        control.tilt.last_reading().is_some_and(|reading| reading.stamp >= cast)
-    }
-
     fn on_deadline(
         &mut self,
         control: &mut HeadControl,
@@ -431,87 +363,5 @@ impl Flow {
             Stage::Closing => self.finish(control, now, actions),
             Stage::Finished => {}
         }
-    }
-
-    /// Books the time since the last event: slewing, creeping, or waiting for the laser.
-    fn spend(&mut self, control: &HeadControl, now: Arrival) {
-        let seconds = (now - self.last_event).seconds();
-        self.last_event = now;
-        if self.is_finished() || seconds <= 0.0 {
-            return;
-        }
-        let rate = control
-            .clock()
-            .earliest(now)
-            .and_then(|stamp| control.tilt.estimate(stamp))
-            .map(|estimate| estimate.rate_rad_s.abs());
-        const SLEWING_RAD_S: f64 = 0.1;
-        const CREEPING_RAD_S: f64 = 0.004;
-        match (self.stage, rate) {
-            (Stage::NeedsClock | Stage::Closing | Stage::Finished, _) | (_, None) => {
-                self.budget.idle_s += seconds;
-            }
-            (Stage::Approaching, Some(rate)) if rate > SLEWING_RAD_S => {
-                self.budget.moving_s += seconds;
-            }
-            (Stage::Approaching, Some(_)) => self.budget.servo_s += seconds,
-            (Stage::Flowing, Some(rate)) if rate > CREEPING_RAD_S => {
-                self.budget.moving_s += seconds;
-            }
-            (Stage::Flowing, Some(_)) => self.budget.laser_s += seconds,
-        }
-    }
-
-    /// Metres that the body drove since the first line.
-    fn driven_m(&self, control: &HeadControl) -> f64 {
-        let first = self.taken.first().map(|taken| control.cast_time(&taken.line));
-        first.map_or(0.0, |first| control.body.driven_m(first))
-    }
-
-    fn finish(&mut self, control: &HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
-        let reached_end = self.stage == Stage::Closing;
-        self.stage = Stage::Finished;
-        let rows = dated_rows(&self.taken, &self.way, self.pan_rad, self.driving, control);
-        let unsupported = rows.iter().filter(|row| !row.supported).count();
-        let reads = control.tilt.last_reading().is_some();
-        self.ramp = None;
-        self.remarks.extend(control.disorder().remark_since(&self.disorder_before));
-        if reads && self.readings_late > LATE {
-            let seconds = self.readings_late.seconds();
-            self.remarks.push(format!("the tilt's readings came late, by {seconds:.1} s or more"));
-        }
-        if reads && unsupported > 0 {
-            self.remarks
-                .push(format!("{unsupported} rows are filed by the servo law: no reading near"));
-        }
-        let filed: Vec<FiledRow> = rows.into_iter().map(|dated| dated.row).collect();
-        let mean_square = |value: fn(&FiledRow) -> f64| {
-            let sum: f64 = filed.iter().map(|row| value(row) * value(row)).sum();
-            (sum / filed.len().max(1) as f64).sqrt()
-        };
-        let tilt_row_rad = mean_square(|row| row.tilt_sigma_rad);
-        let image =
-            image_of(&filed, &control.robot_from_scan(), |pose| control.scan_from_sensor(pose));
-        actions.push(HeadAction::Finished(Box::new(Scan {
-            image,
-            profile: self.way.profile.name.clone(),
-            complete: reached_end && !filed.is_empty(),
-            filed: filed.len(),
-            gaps: 0,
-            repeats: self.repeats,
-            unverified: if reads { unsupported } else { 0 },
-            errors: ScanErrors {
-                // Lag and delay are found once, so their error goes through all rows alike.
-                tilt_common_rad: 0.5 * tilt_row_rad,
-                tilt_row_rad,
-                time_s: control.timing.sigma.seconds(),
-            },
-            budget: self.budget,
-            driven_m: self.driving.then(|| self.driven_m(control)),
-            started: self.started,
-            ended: now,
-            remarks: self.remarks.clone(),
-        })));
-        self.taken.clear();
     }
 }

@@ -1,15 +1,18 @@
 //! Stop-scan-go: one sweep over a list of tilts, as a state machine.
 
+mod readiness;
+mod unreachable;
+
 use super::config::AcquisitionConfig;
 use super::control::{Disorder, HeadControl, Settle};
-use super::profile::{Profile, QuarterDegrees};
+use super::profile::Profile;
 use super::scan::{FiledRow, Scan, ScanErrors, TimeBudget, image_of};
-use super::track::Verdict;
 use super::{HeadAction, HeadEvent};
 use crate::robot::{Demand, HeadPose};
 use crate::scan::LaserLine;
 use crate::time::{Arrival, Span, Stamp};
 use nalgebra::Isometry3;
+use readiness::{Readiness, readiness};
 use serde::{Deserialize, Serialize};
 
 /// A sweep in which every line is taken with the tilt at rest at the demanded angle (paper, section
@@ -59,10 +62,6 @@ struct Waiting {
     /// The last reading that contradicted the demand, if the newest one did.
     elsewhere: Option<f64>,
 }
-
-/// Readings that show a joint of unknown law at rest: so many, over so long a time. A spring under
-/// 5 Hz cannot pass through the tolerance three times in a fifth of a second.
-const RESTING_READINGS: (usize, Span) = (3, Span::from_millis(200));
 
 /// A joint slower than told is waited for while its readings show it moving, but no longer than this.
 const LONGEST_MOVE: Span = Span::from_millis(60_000);
@@ -372,27 +371,6 @@ impl Sweep {
         }
     }
 
-    /// The tilt rests at `stuck_rad` although `row` was demanded: rows on the far side of it are out
-    /// of reach, be it that the link's limits are narrower than told or that it is stuck. The rows
-    /// on the near side are still tried; if the next of them fails too, nothing is left.
-    fn skip_unreachable(&mut self, row: usize, stuck_rad: f64) {
-        let demanded = self.profile.tilts[row].radians();
-        let beyond = |tilt: &QuarterDegrees| {
-            (tilt.radians() - stuck_rad) * (demanded - stuck_rad) > 0.0
-                && (tilt.radians() - stuck_rad).abs() > self.tolerance_rad
-        };
-        let kept: Vec<_> =
-            self.profile.tilts[row + 1..].iter().copied().filter(|tilt| !beyond(tilt)).collect();
-        let lost = self.profile.len() - (row + 1) - kept.len() + 1;
-        self.profile.tilts.truncate(row + 1);
-        self.profile.tilts.extend(kept);
-        self.remarks.push(format!(
-            "the tilt rests at {:.2}° though {} was demanded: {lost} rows beyond it are lost",
-            stuck_rad.to_degrees(),
-            self.profile.tilts[row],
-        ));
-    }
-
     fn next_row(
         &mut self,
         row: usize,
@@ -459,53 +437,5 @@ impl Sweep {
             remarks: self.remarks.clone(),
         })));
         self.rows.clear();
-    }
-}
-
-/// Whether a line may be filed.
-enum Readiness {
-    /// The tilt was not yet there when the rays were cast, or not provably.
-    NotYet,
-    /// By computation it was there, and a reading says so too.
-    Verified,
-    /// By computation it was there; no reading of that time exists.
-    Computed,
-    /// By computation it was there, but a reading shows it at this angle.
-    Elsewhere(f64),
-}
-
-fn readiness(
-    waiting: &Waiting,
-    target_rad: f64,
-    tolerance_rad: f64,
-    cast: Stamp,
-    control: &HeadControl,
-    config: &AcquisitionConfig,
-) -> Readiness {
-    let track = &control.tilt;
-    let Some(settled) = waiting.settled else {
-        let since = (waiting.in_force, cast);
-        let rested = track.rests(target_rad, tolerance_rad, since, RESTING_READINGS);
-        if rested {
-            return Readiness::Verified;
-        }
-        let patience = Span::from_seconds(config.unknown_settle_s);
-        if cast < waiting.in_force + patience {
-            return Readiness::NotYet;
-        }
-        return match track.verdict(target_rad, tolerance_rad, waiting.in_force, cast) {
-            Verdict::Unverified => Readiness::Computed,
-            Verdict::Contradicted { angle_rad } => Readiness::Elsewhere(angle_rad),
-            // It reads as there, but has not yet been seen to rest.
-            Verdict::Confirmed => Readiness::NotYet,
-        };
-    };
-    if cast < settled {
-        return Readiness::NotYet;
-    }
-    match track.verdict(target_rad, tolerance_rad, settled, cast + STAMP_ROUNDING) {
-        Verdict::Confirmed => Readiness::Verified,
-        Verdict::Unverified => Readiness::Computed,
-        Verdict::Contradicted { angle_rad } => Readiness::Elsewhere(angle_rad),
     }
 }
