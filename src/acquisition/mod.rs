@@ -248,6 +248,19 @@ impl Acquisition {
         policy::choose(view, &self.config.fan, interest, &pace, tilt_rad)
     }
 
+    /// `profile` with the fine rows that `interest` requires, and how many had to be added.
+    pub fn with_required(
+        &self,
+        profile: Profile,
+        view: &GroundView<'_>,
+        interest: &Interest,
+    ) -> (Profile, usize) {
+        let before = profile.len();
+        let profile = policy::with_fine_rows(profile, view, interest);
+        let added = profile.len().saturating_sub(before);
+        (profile, added)
+    }
+
     /// The sweep to be taken while the robot drives on, if that is worth more than stopping for one.
     ///
     /// # Errors

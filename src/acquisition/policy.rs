@@ -47,10 +47,29 @@ impl Interest {
         self.required_m.insert(at, here);
     }
 
+    /// Unseen ground that the rows of `profile` show, in m²: where they lie farther apart than
+    /// `spacing_m`, the share that they leave known.
+    fn shown_m2(&self, profile: &Profile, view: &GroundView<'_>, spacing_m: f64) -> f64 {
+        let ahead = |tilt: &QuarterDegrees| view.ground_ahead_m(tilt.radians());
+        let mut rings: Vec<f64> = profile.tilts.iter().filter_map(ahead).collect();
+        rings.sort_by(f64::total_cmp);
+        let share = |at_m: f64| {
+            let beyond = rings.partition_point(|&ring| ring <= at_m);
+            match (beyond.checked_sub(1).map(|i| rings[i]), rings.get(beyond)) {
+                (Some(near), Some(&far)) => (spacing_m / (far - near).max(1e-6)).min(1.0),
+                _ => 0.0,
+            }
+        };
+        let middle_m = |ring: usize| (ring as f64 + 0.5) * RING_M;
+        let shown = self.unseen_m2.iter().enumerate();
+        // Adding zero makes the -0 of an empty sum 0.
+        shown.map(|(ring, area)| share(middle_m(ring)) * area).sum::<f64>() + 0.0
+    }
+
     /// Unseen ground at `from_m` and beyond, in m².
     pub(super) fn beyond_m2(&self, from_m: f64) -> f64 {
         let first = (from_m / RING_M).ceil() as usize;
-        self.unseen_m2.iter().skip(first).sum()
+        self.unseen_m2.iter().skip(first).sum::<f64>() + 0.0
     }
 }
 
@@ -128,8 +147,9 @@ const COARSE_SHARE: f64 = 0.5;
 /// and an edge could hide between two of them.
 const FINE_RING_M: f64 = 0.1;
 
-/// The sweep that shows most per second among the whole fan, fans of interest, and a coarse fan;
-/// every one of them with the fine rows that `interest` requires. `None` for a laser that cannot tilt.
+/// The sweep that shows most per second among the whole fan, fans of interest, a coarse fan, and the
+/// whole height in coarse or in fine rows; every one of them with the fine rows that `interest`
+/// requires. `None` for a laser that cannot tilt.
 pub(super) fn choose(
     view: &GroundView<'_>,
     config: &FanConfig,
@@ -160,18 +180,40 @@ pub(super) fn choose(
     });
     let wide = FanConfig { ring_spacing_m: 2.0 * config.ring_spacing_m, ..config.clone() };
     let coarse = offer("coarse fan".to_owned(), &wide, COARSE_SHARE);
+    let limits = view.head.tilt().and_then(|axis| axis.limits);
+    let by_height = [("coarse sweep", Profile::coarse(2.0)), ("full sweep", Profile::paper_full())];
+    let heights = by_height.into_iter().filter_map(|(name, profile)| {
+        let profile = with_fine_rows(profile.clipped(limits).0, view, interest);
+        let profile = Profile { name: name.to_owned(), ..profile }.from_nearer_end(tilt_rad);
+        let seconds = pace.seconds(&profile, tilt_rad);
+        let gain_m2 = interest.shown_m2(&profile, view, config.ring_spacing_m);
+        let some = !profile.is_empty();
+        let request = SweepRequest { profile, pan_rad: 0.0, mode };
+        some.then(|| Offer { request, seconds, gain_m2, reason: name.to_owned() })
+    });
     let per_second = |offer: &Offer| (offer.gain_m2 + WALLS_M2) / offer.seconds;
+    let told = |offer: &Offer| format!("{:.1} m² in {:.1} s", offer.gain_m2, offer.seconds);
     // Of equal ones the first: the whole fan, then the widest.
+    let others: Vec<Offer> = cut.chain(coarse).chain(heights).collect();
     let mut best = whole.clone();
-    for other in cut.chain(coarse) {
-        if per_second(&other) > per_second(&best) {
-            best = other;
+    for other in &others {
+        if per_second(other) > per_second(&best) {
+            best = other.clone();
         }
     }
-    let told = |offer: &Offer| format!("{:.1} m² in {:.1} s", offer.gain_m2, offer.seconds);
-    let against = match best.reason == whole.reason {
-        true => "no part of it shows more per second".to_owned(),
-        false => format!("the whole fan {}", told(&whole)),
+    let second = std::iter::once(&whole)
+        .chain(&others)
+        .filter(|other| other.reason != best.reason)
+        .max_by(|a, b| per_second(a).total_cmp(&per_second(b)));
+    let against = match (best.reason == whole.reason, second) {
+        (true, second) => format!(
+            "no part of it shows more per second{}",
+            second.map_or_else(String::new, |o| format!(" (next: {} {})", o.reason, told(o)))
+        ),
+        (false, Some(second)) if second.reason != whole.reason => {
+            format!("the whole fan {}, {} {}", told(&whole), second.reason, told(second))
+        }
+        (false, _) => format!("the whole fan {}", told(&whole)),
     };
     let fine = match interest.required_m.is_empty() {
         true => String::new(),
@@ -186,7 +228,11 @@ pub(super) fn choose(
 
 /// `profile` with rows at most [`FINE_RING_M`] apart, or a quarter of a degree, where they are
 /// required; the steepest first.
-fn with_fine_rows(mut profile: Profile, view: &GroundView<'_>, interest: &Interest) -> Profile {
+pub(super) fn with_fine_rows(
+    mut profile: Profile,
+    view: &GroundView<'_>,
+    interest: &Interest,
+) -> Profile {
     let Some(limit) = view.steepest_tilt_rad() else { return profile };
     let steepest = (limit / super::QUARTER_DEGREE_RAD + 1e-9).floor() as i32;
     let ahead = |tilt: QuarterDegrees| view.ground_ahead_m(tilt.radians());
@@ -261,6 +307,21 @@ mod tests {
         let whole = chosen(&near());
         assert!(offer.seconds < 0.7 * whole.seconds, "{} {}", offer.seconds, whole.seconds);
         assert!((offer.gain_m2 - 32.0).abs() < 1e-9 && offer.reason.contains("the whole fan"));
+    }
+
+    #[test]
+    fn sweeps_over_the_whole_height_compete_by_what_their_rows_show() {
+        let head = head(Some(AngleSpan::new(-1.0, 1.0)), Some(0.17));
+        let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: FRAC_PI_2 };
+        let mut interest = Interest::default();
+        (8..20).for_each(|ring| interest.add(0.25 * f64::from(ring), 1.0));
+        let shown = |step| interest.shown_m2(&Profile::coarse(step), &view, 0.5);
+        assert!((shown(0.25) - 12.0).abs() < 1e-9, "{}", shown(0.25));
+        assert!(shown(2.0) > 4.0 && shown(2.0) < 10.0, "{}", shown(2.0));
+        // With nothing left to see on the ground the walls decide, and what is quick shows them.
+        let offer = chosen(&Interest::default());
+        assert!(offer.seconds < chosen(&near()).seconds, "{}", offer.reason);
+        assert!(offer.reason.contains("the whole fan 0.0 m²"), "{}", offer.reason);
     }
 
     #[test]

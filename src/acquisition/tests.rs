@@ -151,6 +151,24 @@ fn limits_narrower_than_told_lose_the_rows_beyond_and_keep_the_rest() {
 }
 
 #[test]
+fn a_sweep_of_ones_own_choice_gets_the_fine_rows_that_the_way_requires() {
+    let behaviour = Behaviour::default();
+    let acquisition = fixture(&behaviour, Some(behaviour.law));
+    let head = acquisition.control().head().clone();
+    let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: 1.5 };
+    let with = |profile: Profile, distance_m: f64| {
+        let mut interest = Interest::default();
+        interest.require(distance_m);
+        acquisition.with_required(profile, &view, &interest)
+    };
+    // Every quarter degree is fine enough where the sweep reaches, and missing where it does not.
+    assert_eq!(with(Profile::paper_full(), 2.0).1, 0);
+    let (profile, added) = with(Profile::paper_full(), 0.7);
+    assert!(added > 2 && profile.len() == 220 + added);
+    assert!(with(Profile::coarse(2.0), 1.5).1 > 0);
+}
+
+#[test]
 fn readings_that_come_late_leave_the_computed_wait_to_decide() {
     let behaviour = Behaviour::default();
     let mut acquisition = fixture(&behaviour, Some(behaviour.law));

@@ -98,7 +98,8 @@ pub enum FineSweep {
     Continuous,
 }
 
-/// Which sweep is taken where the robot stops to look.
+/// Which sweep is taken where the robot stops to look. Whichever it is, rows are added to it where a
+/// suspected edge or unknown ground in the way asks for finer ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LookPolicy {

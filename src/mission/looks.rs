@@ -61,15 +61,20 @@ impl Running {
         let acquisition = self.acquisition.as_ref()?;
         let interest = self.interest();
         let offer = acquisition.choose(&view, &interest, flowing)?;
-        let request = match config.mission.looks {
+        let mut request = match config.mission.looks {
             LookPolicy::Auto => return Some(offer),
-            // What must be seen finely is, whatever the settings say.
-            _ if !interest.required_m.is_empty() => return Some(offer),
             LookPolicy::Full => self.full_sweep(config)?,
             LookPolicy::Coarse => self.taken(Profile::coarse(2.0), config)?,
             LookPolicy::Fan => self.fan(config)?,
         };
-        let reason = format!("{}, as the settings say", request.profile.name);
+        // What must be seen finely is, whatever the settings say: rows that are missing are added.
+        let profile = request.profile.clone();
+        let (profile, added) = acquisition.with_required(profile, &view, &interest);
+        request.profile = profile;
+        let mut reason = format!("{}, as the settings say", request.profile.name);
+        if added > 0 {
+            reason += &format!("; {added} fine rows added for what lies in the way");
+        }
         let seconds = acquisition.seconds_for(&request.profile, flowing);
         Some(Offer { request, seconds, reason, ..offer })
     }

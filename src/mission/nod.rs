@@ -36,7 +36,10 @@ impl Running {
         };
         let interest = self.interest();
         let Some(acquisition) = &mut self.acquisition else { return };
-        let Ok(offer) = acquisition.choose_nod(&view, &interest, &terms) else { return };
+        let offer = match acquisition.choose_nod(&view, &interest, &terms) {
+            Ok(offer) => offer,
+            Err(why) => return desk.info(format!("not nodding: {why}")),
+        };
         desk.info(format!("nodding: {}", offer.reason));
         let actions = acquisition.start(offer.request, desk.now);
         self.head_actions(actions, desk);
