@@ -33,7 +33,12 @@ pub struct CalibrationReport {
     pub seconds: f64,
     /// What was found, in plain words.
     pub text: String,
+    /// What an operator should know of it: that commands take long to be obeyed.
+    pub warning: Option<String>,
 }
+
+/// A delay of commands that a server on the same network does not have.
+const LONG_DELAY: Span = Span::from_millis(120);
 
 /// A reference sweep at rest, then jumps and small steps across it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -305,6 +310,7 @@ impl Calibration {
             let half = 0.5 * control.rhythm.interval().seconds();
             (Span::from_seconds(half), Span::from_seconds(half / 3.0_f64.sqrt()))
         });
+        let read = by_readings.is_some();
         let fit = by_readings.or_else(|| law_of(&fixes, LINES_LAG));
         if let Some(fit) = &fit {
             control.adopt(fit, line_lag.or(supposed));
@@ -316,7 +322,15 @@ impl Calibration {
             fixes: fixes.len(),
             lines: moving.lines.len(),
             seconds: (now - self.started).seconds(),
-            text: describe(fit.as_ref(), line_lag, readings.len(), fixes.len()),
+            text: describe(fit.as_ref(), read, line_lag, (readings.len(), fixes.len())),
+            warning: fit.filter(|fit| fit.delay > LONG_DELAY).map(|fit| {
+                format!(
+                    "the line to the server is slow: commands are obeyed {} {:.0} ms after they are \
+                     sent, and every wait is that much longer",
+                    if read { "about" } else { "at least" },
+                    1e3 * fit.delay.seconds()
+                )
+            }),
         };
         HeadAction::Calibrated(Box::new(report))
     }
@@ -331,6 +345,7 @@ impl Calibration {
             lines: 0,
             seconds: (now - self.started).seconds(),
             text: format!("{why}: scans are taken with the tilt at rest"),
+            warning: None,
         }))
     }
 }
@@ -342,9 +357,9 @@ fn patience(control: &HeadControl, config: &AcquisitionConfig) -> Span {
 
 fn describe(
     fit: Option<&ServoFit>,
+    read: bool,
     line_lag: Option<(Span, Span)>,
-    readings: usize,
-    fixes: usize,
+    (readings, fixes): (usize, usize),
 ) -> String {
     let Some(fit) = fit else {
         return format!(
@@ -360,15 +375,21 @@ fn describe(
             format!("spring of {frequency_rad_s:.1} rad/s damped by {damping:.2}")
         }
     };
-    let lag = line_lag.map_or_else(
-        || "lag of the lines unknown".to_owned(),
-        |(lag, sigma)| {
-            format!("lines lag {:.0} ± {:.0} ms", 1e3 * lag.seconds(), 1e3 * sigma.seconds())
-        },
-    );
+    let delay_ms = 1e3 * fit.delay.seconds();
+    let times = match line_lag {
+        Some((lag, sigma)) => format!(
+            "commands obeyed after {delay_ms:.0} ms, lines lag {:.0} ± {:.0} ms",
+            1e3 * lag.seconds(),
+            1e3 * sigma.seconds()
+        ),
+        None if read => {
+            format!("commands obeyed after {delay_ms:.0} ms, lag of the lines unknown")
+        }
+        // What the laser alone tells is how commands and the stamps of lines lie to one another.
+        None => format!("delay of commands less lag of lines {delay_ms:.0} ms"),
+    };
     format!(
-        "{law}, commands obeyed after {:.0} ms, {lag}; {:.3}° rms over {} of {} observations",
-        1e3 * fit.delay.seconds(),
+        "{law}, {times}; {:.3}° rms over {} of {} observations",
         fit.rms_rad.to_degrees(),
         fit.explained.0,
         fit.explained.1

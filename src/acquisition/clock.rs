@@ -24,14 +24,27 @@ pub enum ClockStep {
 pub struct StampClock {
     window: VecDeque<(Arrival, Stamp)>,
     latest: Option<Stamp>,
+    /// By how much the lower bound lay ahead of the session's clock at the last message.
+    ahead: Option<Span>,
+    /// By how much messages come later than they once did.
+    slower: Span,
+    /// Since when the two clocks seem to run at different rates.
+    odd_since: Option<Arrival>,
+    /// Simulated seconds per session second, once measured.
+    rate: Option<f64>,
 }
 
 /// Messages older than this say nothing about the present rate of an overloaded server.
 const WINDOW: Span = Span::from_millis(5_000);
 /// Bound on the number of messages in the window: ten a second for each of six kinds.
 const WINDOW_MESSAGES: usize = 300;
+/// Messages closer together than this arrived in one go: bursts are farther apart.
+const TOGETHER: Span = Span::from_millis(20);
 /// A shorter window measures arrival jitter, not the rate.
 const RATE_BASELINE: Span = Span::from_millis(2_500);
+/// Messages farther apart than this were held up; a server that is slowed down to a third still sends
+/// more often.
+const RATE_GAP: Span = Span::from_millis(1_500);
 /// Rates this close to 1 are jitter.
 const RATE_SNAP: f64 = 0.05;
 /// A message this far ahead of the expected stamp, or behind the latest one, is a jump of the clock
@@ -53,6 +66,7 @@ impl StampClock {
             step = ClockStep::Jumped(stamp - expected);
             self.window.clear();
             self.latest = None;
+            (self.ahead, self.slower, self.rate) = (None, Span::ZERO, None);
         }
         // A message that was held up tells nothing, and as the last of the window it would slow the
         // rate between the clocks.
@@ -60,13 +74,55 @@ impl StampClock {
             return step;
         }
         self.latest = Some(stamp);
+        // Of messages that arrive together the newest alone tells anything: the others were held up.
+        let held_up =
+            |&(arrival, sent): &(Arrival, Stamp)| now - arrival < TOGETHER && sent < stamp;
+        while self.window.back().is_some_and(held_up) {
+            self.window.pop_back();
+        }
         self.window.push_back((now, stamp));
-        while self.window.len() > WINDOW_MESSAGES
-            || self.window.front().is_some_and(|&(arrival, _)| now - arrival > WINDOW)
-        {
+        while self.window.len() > WINDOW_MESSAGES || self.is_front_outdated(now) {
             self.window.pop_front();
         }
+        self.rate = self.measured_rate().or(self.rate);
+        self.note_lateness(now);
         step
+    }
+
+    /// Whether the oldest message says nothing any more. After a stall those before it still do, until
+    /// those after it make a window of their own.
+    fn is_front_outdated(&self, now: Arrival) -> bool {
+        let (Some(&(oldest, _)), Some(&(next, _))) = (self.window.front(), self.window.get(1))
+        else {
+            return false;
+        };
+        let too_old = now - oldest > WINDOW + WINDOW + WINDOW;
+        now - oldest > WINDOW && (now - next >= RATE_BASELINE || too_old)
+    }
+
+    /// The bound falls back at once when a line becomes slower, and creeps where two clocks drift.
+    fn note_lateness(&mut self, now: Arrival) {
+        const STEP: Span = Span::from_millis(250);
+        if self.rate() != 1.0 {
+            // A step is in the window for its length; what lasts longer is a rate.
+            let odd_since = *self.odd_since.get_or_insert(now);
+            if now - odd_since > WINDOW + RATE_BASELINE {
+                (self.ahead, self.slower) = (None, Span::ZERO);
+            }
+            return;
+        }
+        self.odd_since = None;
+        let ahead = self.earliest(now).map(|bound| Span(bound.0 - now.0));
+        match (self.ahead, ahead) {
+            (Some(before), Some(ahead)) if before - ahead > STEP => {
+                self.slower += before - ahead;
+            }
+            (Some(before), Some(ahead)) if ahead > before => {
+                self.slower = (self.slower - (ahead - before)).max(Span::ZERO);
+            }
+            _ => {}
+        }
+        self.ahead = ahead;
     }
 
     /// The newest stamp seen.
@@ -76,14 +132,20 @@ impl StampClock {
 
     /// Simulated seconds per session second, 1 until measured otherwise.
     pub fn rate(&self) -> f64 {
-        let (Some(&(a0, s0)), Some(&(a1, s1))) = (self.window.front(), self.window.back()) else {
-            return 1.0;
-        };
-        if a1 - a0 < RATE_BASELINE || s1 <= s0 {
-            return 1.0;
+        self.rate.unwrap_or(1.0)
+    }
+
+    /// The rate over the window; `None` if that is too short, or if a gap in it shows that messages were
+    /// held up, which would look like a slow server.
+    fn measured_rate(&self) -> Option<f64> {
+        let (&(a0, s0), &(a1, s1)) = (self.window.front()?, self.window.back()?);
+        let arrivals = self.window.iter().map(|&(arrival, _)| arrival);
+        let gap = arrivals.clone().zip(arrivals.skip(1)).any(|(a, b)| b - a > RATE_GAP);
+        if gap || a1 - a0 < RATE_BASELINE || s1 <= s0 {
+            return None;
         }
         let rate = (s1 - s0).seconds() / (a1 - a0).seconds();
-        if (rate - 1.0).abs() < RATE_SNAP { 1.0 } else { rate.clamp(0.02, 50.0) }
+        Some(if (rate - 1.0).abs() < RATE_SNAP { 1.0 } else { rate.clamp(0.02, 50.0) })
     }
 
     /// The earliest stamp the simulator's clock can show at `now`; `None` before the first message.
@@ -93,6 +155,12 @@ impl StampClock {
             .iter()
             .map(|&(arrival, stamp)| stamp + Span::from_seconds((now - arrival).seconds() * rate))
             .max()
+    }
+
+    /// By how much messages come later than they once did, noticed some seconds after it began; zero
+    /// where the server's time runs at another rate than the session's.
+    pub fn slower_by(&self) -> Span {
+        self.slower
     }
 
     /// The latest stamp at which something sent at `now` is in force at the server, if neither way
@@ -135,6 +203,40 @@ mod tests {
         }
         assert!((clock.rate() - 1.0).abs() < 1e-12, "{}", clock.rate());
         assert_eq!(clock.earliest(at(6.0)), Some(Stamp::from_seconds(106.0)));
+    }
+
+    #[test]
+    fn messages_that_begin_to_come_late_are_noticed_and_no_jitter_is() {
+        for late in [0.6, 2.0] {
+            let mut clock = StampClock::new();
+            for i in 0..120 {
+                let sent = 0.2 * f64::from(i);
+                let now = sent + if i < 50 { 0.01 } else { late } + 0.01 * f64::from(i % 3);
+                clock.observe(Stamp::from_seconds(100.0 + sent), at(now));
+                if i < 50 {
+                    assert_eq!(clock.slower_by(), Span::ZERO);
+                }
+            }
+            let slower = clock.slower_by().seconds();
+            assert!((slower - late).abs() < 0.05, "{slower} s of {late} s");
+        }
+    }
+
+    #[test]
+    fn a_stall_leaves_the_bound_where_it_was() {
+        for lasts in [20, 40] {
+            let mut clock = StampClock::new();
+            for i in 0..150 {
+                let sent = 0.2 * f64::from(i);
+                // All of some seconds arrives at once.
+                let ends = 30 + lasts;
+                let now = if (30..ends).contains(&i) { 0.2 * f64::from(ends) } else { sent };
+                clock.observe(Stamp::from_seconds(100.0 + sent), at(now));
+                let earliest = clock.earliest(at(now)).unwrap().seconds();
+                assert!((earliest - 100.0 - now).abs() < 0.01, "{earliest} at {now}");
+            }
+            assert_eq!((clock.slower_by(), clock.rate()), (Span::ZERO, 1.0));
+        }
     }
 
     #[test]

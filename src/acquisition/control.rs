@@ -39,6 +39,8 @@ pub struct HeadControl {
     tilt_proof: Option<ServoLaw>,
     pan_proof: Option<ServoLaw>,
     latency: Span,
+    /// Tilt and body as they were known before the jump of the clock that was just noted.
+    past: Option<Box<(AxisTrack, BodyTrack)>>,
     /// How late the last reading came.
     readings_late: Span,
     /// What came out of order so far.
@@ -68,6 +70,9 @@ const SCANNER_LAG: Span = Span::from_millis(300);
 
 /// Added to a delay of commands that was measured, for the wait until one is surely obeyed.
 const DELAY_SPARE: Span = Span::from_millis(20);
+
+/// Lines stamped farther apart than this, one after the other, are not out of order: the clock jumped.
+const CLOCK_JUMP: Span = Span::from_millis(3_000);
 
 /// A line asked for and not answered is asked for again after this; real scanners speak as often.
 const ASK_EVERY: Span = Span::from_millis(200);
@@ -99,6 +104,7 @@ impl HeadControl {
             asked: None,
             asks: 0,
             latency,
+            past: None,
             readings_late: Span::ZERO,
             disorder: Disorder::default(),
             timing: Timing {
@@ -113,6 +119,7 @@ impl HeadControl {
 
     /// Takes note of an event; true if the server's clock jumped and all known times are void.
     pub(super) fn note(&mut self, event: &HeadEvent<'_>, now: Arrival) -> bool {
+        self.past = None;
         let step = match event {
             HeadEvent::Stamped(stamp) => self.clock.observe(*stamp, now),
             HeadEvent::Joints(reading) => {
@@ -140,7 +147,8 @@ impl HeadControl {
             }
             HeadEvent::Line(line) => {
                 let newest = self.rhythm.newest();
-                if let Some(behind) = newest.map(|newest| newest - line.stamp) {
+                let behind = newest.map(|newest| newest - line.stamp);
+                if let Some(behind) = behind.filter(|&behind| behind < CLOCK_JUMP) {
                     self.disorder.lines += u32::from(behind > Span::ZERO);
                     self.disorder.lines_late = self.disorder.lines_late.max(behind);
                 }
@@ -153,11 +161,25 @@ impl HeadControl {
         if step == ClockStep::Steady {
             return false;
         }
+        self.past = Some(Box::new((self.tilt.clone(), self.body.clone())));
         self.tilt.forget_times();
         self.pan.forget_times();
         self.rhythm.forget_times();
         self.body.forget();
         true
+    }
+
+    /// The control as it was before the clock jumped, to date what was taken before; `None` unless it
+    /// has just jumped.
+    pub(super) fn before_jump(&self) -> Option<Self> {
+        let (tilt, body) = self.past.as_deref()?.clone();
+        Some(Self { tilt, body, past: None, ..self.clone() })
+    }
+
+    /// Whether the tilt's own readings tell where it was at `stamp`.
+    pub(super) fn reads_at(&self, stamp: Stamp) -> bool {
+        const RECENT: Span = Span::from_millis(1_000);
+        self.tilt.last_reading().is_some_and(|reading| stamp - reading.stamp < RECENT)
     }
 
     /// The clock to go by.
@@ -170,8 +192,25 @@ impl HeadControl {
 
     /// The latest stamp at which a command sent `now` is in force; `None` while the server's clock
     /// is unknown.
+    ///
+    /// Messages that come later than they did mean a slower line, or a server that paused. Readings
+    /// tell which; without them it is taken for the slower line.
     pub(super) fn in_force(&self, now: Arrival) -> Option<Stamp> {
-        self.clock().in_force_by(now, self.latency)
+        let read = self.clock().latest().is_some_and(|latest| self.reads_at(latest));
+        let slower = if read { Span::ZERO } else { self.clock().slower_by() };
+        self.clock().in_force_by(now, self.latency + slower)
+    }
+
+    /// By how much messages come later than they did, in words for an operator, where that is much.
+    pub(super) fn slowness_remark(&self) -> Option<String> {
+        const MUCH: Span = Span::from_millis(300);
+        let slower = self.clock().slower_by();
+        (slower > MUCH).then(|| {
+            format!(
+                "messages of the server come {:.1} s later than they did: each row waits for them",
+                slower.seconds()
+            )
+        })
     }
 
     /// How long the tilt needs to rest within `tolerance_rad` of `target_rad` if told so by a command in

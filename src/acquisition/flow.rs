@@ -15,7 +15,7 @@ use super::way::Way;
 use super::{HeadAction, HeadEvent};
 use crate::robot::Demand;
 use crate::scan::LaserLine;
-use crate::time::{Arrival, Span};
+use crate::time::{Arrival, Span, Stamp};
 use serde::{Deserialize, Serialize};
 
 /// How the tilt is driven along.
@@ -56,11 +56,14 @@ pub struct Flow {
     started: Arrival,
     deadline: Arrival,
     repeats: usize,
-    /// Lines since the tilt last came on by half a row.
-    idle_lines: u32,
+    /// Casting of the first line since the tilt last came on by half a row.
+    idle_since: Option<Stamp>,
+    /// From when on the command is in force that sent the tilt on its way to the first row.
+    sent_off: Option<Stamp>,
     /// How late the latest of the readings came.
     readings_late: Span,
     disorder_before: Disorder,
+    slower_before: Span,
     furthest_rad: f64,
     budget: TimeBudget,
     last_event: Arrival,
@@ -79,6 +82,10 @@ enum Stage {
     Closing,
     Finished,
 }
+
+/// Lines that come later than this were held up. No set-point could follow them, so that a tilt that
+/// rested meanwhile rested where it was told to.
+const HELD_UP: Span = Span::from_millis(1_000);
 
 impl Flow {
     /// A sweep over `profile`, already clipped and turned the way it is to run; its first actions.
@@ -103,9 +110,11 @@ impl Flow {
             started: now,
             deadline: now + config.row_timeout(),
             repeats: 0,
-            idle_lines: 0,
+            idle_since: None,
+            sent_off: None,
             readings_late: Span::ZERO,
             disorder_before: control.disorder(),
+            slower_before: control.clock().slower_by(),
             budget: TimeBudget::default(),
             last_event: now,
             remarks: Vec::new(),
@@ -175,9 +184,10 @@ impl Flow {
             self.readings_late = self.readings_late.max(control.readings_late());
         }
         if jumped && !self.is_finished() {
-            // Lines before the jump can no longer be dated against what the tilt does now.
+            // Lines before the jump are dated by what was known before it, and no others.
             self.remarks.push("the server's clock jumped: the sweep ends there".to_owned());
-            self.finish(control, now, &mut actions);
+            let before = control.before_jump();
+            self.finish(before.as_ref().unwrap_or(control), now, &mut actions);
             return actions;
         }
         match (self.stage, event) {
@@ -245,6 +255,7 @@ impl Flow {
         }
         let target = Demand::Angle(self.demanded.radians());
         actions.push(HeadAction::Send(control.command_tilt(target, now)));
+        self.sent_off = control.tilt.commands().last().map(|&(stamp, _)| stamp);
         self.deadline = now + self.patience(control, config);
     }
 
@@ -265,7 +276,15 @@ impl Flow {
         if !control.rhythm.is_whole(line) {
             return;
         }
-        let Some(here) = control.tilt.estimate(control.cast_time(line)) else {
+        let cast = control.cast_time(line);
+        let slower = control.clock().slower_by() - self.slower_before;
+        if slower > HELD_UP && !control.reads_at(cast) {
+            // When commands are obeyed is no longer known, and nothing else tells the tilt.
+            self.remarks
+                .push("the line to the server became slower: the sweep ends there".to_owned());
+            return self.finish(control, now, actions);
+        }
+        let Some(here) = control.tilt.estimate(cast) else {
             self.remarks.push("the tilt's law is unknown and it sends no readings".to_owned());
             self.finish(control, now, actions);
             return;
@@ -277,13 +296,11 @@ impl Flow {
         if self.stage == Stage::Approaching {
             let off = (here.angle_rad - first).abs();
             if off > 0.5 * step && (here.angle_rad - first) * direction < 0.0 || off > 1.5 * step {
-                self.note_progress(
-                    (here.angle_rad - self.furthest_rad).abs() > 1e-3,
-                    here.angle_rad,
-                );
-                let rests = self.rests(control);
+                let came_on = (here.angle_rad - self.furthest_rad).abs() > 1e-3;
+                self.note_progress(came_on, here.angle_rad, line, control, now);
+                let rests = self.rests(line, control);
                 if !rests || (last - here.angle_rad) * direction <= 1.5 * step {
-                    self.end_if_stuck(control, now, actions);
+                    self.end_if_stuck(line, control, now, actions);
                     return;
                 }
                 // Limits narrower than told, or a joint that sticks at this end: what lies between
@@ -293,39 +310,50 @@ impl Flow {
                     self.rests_at_rad(control).to_degrees(),
                     self.demanded
                 ));
-                // Told to stay, so that the law does not carry it on towards what it cannot reach.
-                self.demanded = QuarterDegrees::nearest(here.angle_rad);
-                let stay = Demand::Angle(self.demanded.radians());
-                actions.push(HeadAction::Send(control.command_tilt(stay, now)));
+                self.stay_at(here.angle_rad, control, now, actions);
             }
-            self.stage = Stage::Flowing;
-            self.furthest_rad = here.angle_rad;
-            self.idle_lines = 0;
-            match self.way.drive {
-                FlowDrive::SetPoints => {}
-                FlowDrive::Rate { rate_rad_s, .. } => {
-                    let rate = Demand::Rate(direction * rate_rad_s);
-                    actions.push(HeadAction::Send(control.command_tilt(rate, now)));
-                }
-                FlowDrive::Ramp { rate_rad_s, .. } => {
-                    self.ramp = Ramp::start((first, last), rate_rad_s, control, now);
-                }
-            }
+            self.begin_flowing(here.angle_rad, control, now, actions);
         }
         self.taken.push(Taken { line: line.clone(), demanded: self.demanded });
         let row = self.taken.len() - 1;
         actions.push(HeadAction::Filed { row, tilt: self.demanded });
         let came_on = (here.angle_rad - self.furthest_rad) * direction;
-        self.note_progress(came_on > 0.4 * step, here.angle_rad);
+        self.note_progress(came_on > 0.4 * step, here.angle_rad, line, control, now);
         if (last - here.angle_rad) * direction <= 0.5 * step {
             self.close(control, now, actions);
-        } else if !self.end_if_stuck(control, now, actions)
+        } else if !self.end_if_stuck(line, control, now, actions)
             && self.way.drive == FlowDrive::SetPoints
             && let Some(next) = self.way.next_set_point(line, self.demanded, control, config, now)
         {
             self.demanded = next;
             let demand = Demand::Angle(next.radians());
             actions.push(HeadAction::Send(control.command_tilt(demand, now)));
+        }
+    }
+
+    fn begin_flowing(
+        &mut self,
+        from_rad: f64,
+        control: &mut HeadControl,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        self.stage = Stage::Flowing;
+        self.furthest_rad = from_rad;
+        self.idle_since = None;
+        match self.way.drive {
+            FlowDrive::SetPoints => {}
+            FlowDrive::Rate { rate_rad_s, .. } => {
+                let rate = Demand::Rate(self.way.direction() * rate_rad_s);
+                actions.push(HeadAction::Send(control.command_tilt(rate, now)));
+            }
+            FlowDrive::Ramp { rate_rad_s, .. } => {
+                let (first, last) = self.way.ends();
+                // A set-point that began at a row out of reach would have to be waited for.
+                let far = (from_rad - first).abs() > super::HINGE_GAP_RAD;
+                let from_rad = if far { from_rad } else { first };
+                self.ramp = Ramp::start((from_rad, last), rate_rad_s, control, now);
+            }
         }
     }
 

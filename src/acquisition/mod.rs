@@ -60,7 +60,7 @@ pub use triples::{HEADING, RecordedTriples, TripleError};
 use crate::protocol::Dialect;
 use crate::robot::{Demand, GroundView, HeadPose, HeadReading, Rig, ScanHead};
 use crate::scan::LaserLine;
-use crate::time::{Arrival, Stamp};
+use crate::time::{Arrival, Span, Stamp};
 use calibrate::{Calibration, reference_profile};
 use nalgebra::Isometry3;
 use park::Park;
@@ -69,6 +69,10 @@ use way::Way;
 
 /// Speed of a pan-tilt link whose CONF is silent: CameraPanTilt's (protocol 5.4).
 const USUAL_LINK_SPEED_RAD_S: f64 = 0.17;
+
+/// A line to the server that became slower by less than this is what the calibration found, as far
+/// as sweeps in motion go.
+const TIMED: Span = Span::from_millis(300);
 
 /// What the acquisition is told.
 #[derive(Clone, Copy, Debug)]
@@ -200,9 +204,12 @@ impl Acquisition {
         let limited =
             clipped.map(|clipped| format!("the tilt's limits cut {} rows off", clipped.rows));
         let coarse = self.config.coarse_tolerance_deg.to_radians();
+        // Nothing but the times of commands tells where a tilt without readings is in motion.
+        let timed = self.control.clock().slower_by() < TIMED
+            || self.control.clock().latest().is_some_and(|latest| self.control.reads_at(latest));
         let (drive, tolerance_rad) = match request.mode {
             SweepMode::Settled { tolerance_rad } => (None, tolerance_rad),
-            _ if !self.is_calibrated() => (None, coarse),
+            _ if !self.is_calibrated() || !timed => (None, coarse),
             SweepMode::Continuous { rate_rad_s, cycle_s } if self.rates => {
                 (Some(FlowDrive::Rate { rate_rad_s, cycle_s }), coarse)
             }

@@ -62,13 +62,14 @@ pub struct ScanErrors {
 /// Where the time of a sweep went, in session seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TimeBudget {
-    /// The tilt slewing at full speed.
+    /// What the tilt's travel takes at full speed, or at the rate that was asked for.
     pub moving_s: f64,
     /// The servo creeping into its target.
     pub servo_s: f64,
-    /// Waiting for the laser, the tilt being where it should.
+    /// Waiting for the laser, the tilt being where it should, or held back for lines to keep up.
     pub laser_s: f64,
-    /// Nothing useful: time-outs, repeated steps, waiting for the server's clock.
+    /// Nothing useful: time-outs, overdue lines, repeated steps, waiting for the server's clock or for
+    /// the last reading.
     pub idle_s: f64,
 }
 

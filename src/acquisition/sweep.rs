@@ -209,7 +209,8 @@ impl Sweep {
         actions.push(HeadAction::Send(command));
         let unknown = Settle { slew_s: 0.0, total_s: config.unknown_settle_s };
         let expected = Span::from_seconds(settle.unwrap_or(unknown).total_s);
-        let lines = Span::from_seconds(4.0 * control.rhythm.interval().seconds());
+        let lines = Span::from_seconds(4.0 * control.rhythm.interval().seconds())
+            + control.clock().slower_by();
         self.step = Step::Waiting(Waiting {
             row,
             sent: now,
@@ -405,6 +406,7 @@ impl Sweep {
         self.step = Step::Finished;
         let filed = self.filed();
         self.remarks.extend(control.disorder().remark_since(&self.disorder_before));
+        self.remarks.extend(control.slowness_remark());
         if self.unverified > 0 {
             self.remarks.push(format!(
                 "{} rows were filed on the computed waiting time: no reading of that time came",

@@ -73,6 +73,10 @@ pub struct Faults {
     pub swap_lines_from_s: Option<f64>,
     pub drop_every: Option<u64>,
     pub clock_jump: Option<(f64, f64)>,
+    /// Nothing arrives from the first time on for the second; then all of it does.
+    pub stall: Option<(f64, f64)>,
+    /// From the first time on everything arrives later by the second.
+    pub slower: Option<(f64, f64)>,
 }
 
 pub struct Testbed {
@@ -318,7 +322,11 @@ impl Testbed {
 
     fn send(&mut self, message: Message, extra_s: f64) {
         self.serial += 1;
-        self.queue.push((self.now_s + self.behaviour.down_s + extra_s, self.serial, message));
+        let slower_s = self.faults.slower.filter(|(at, _)| self.now_s >= *at).map_or(0.0, |s| s.1);
+        let arrives_s = self.now_s + self.behaviour.down_s + extra_s + slower_s;
+        let stall = self.faults.stall.map(|(at, lasts)| (at, at + lasts));
+        let held_up = stall.filter(|&(from, to)| from <= arrives_s && arrives_s < to);
+        self.queue.push((held_up.map_or(arrives_s, |(_, to)| to), self.serial, message));
     }
 
     fn burst(&mut self) {

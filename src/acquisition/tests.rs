@@ -151,6 +151,23 @@ fn limits_narrower_than_told_lose_the_rows_beyond_and_keep_the_rest() {
 }
 
 #[test]
+fn a_line_that_becomes_slow_is_told_and_waited_for() {
+    for readings in [true, false] {
+        let behaviour = Behaviour { readings, ..Behaviour::default() };
+        let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+        let mut bed = Testbed::new(behaviour, Faults::default(), 20);
+        bed.run(&mut acquisition, 4.0);
+        bed.faults.slower = Some((bed.now_s(), 2.0));
+        bed.run(&mut acquisition, 9.0);
+        let scan = sweep(&mut bed, &mut acquisition, rows(-8, 10));
+        assert!(scan.complete, "{:?}", scan.remarks);
+        let told = scan.remarks.iter().any(|r| r.contains("2.0 s later than they did"));
+        assert!(told, "{:?}", scan.remarks);
+        assert!(worst(&bed.tilt_errors_deg(&scan)) <= TOLERANCE_DEG, "readings {readings}");
+    }
+}
+
+#[test]
 fn a_sweep_of_ones_own_choice_gets_the_fine_rows_that_the_way_requires() {
     let behaviour = Behaviour::default();
     let acquisition = fixture(&behaviour, Some(behaviour.law));

@@ -141,6 +141,8 @@ pub struct Running {
     pub(super) last_wheels: PlanarPose,
     pub(super) latest_stamp: Stamp,
     pub(super) first_scan_due: bool,
+    /// What the last sweep had to say of itself.
+    pub(super) remarks: Vec<String>,
     pub(super) planar_lines: usize,
     pub(super) wheel_count: WheelCount,
     /// The sweep that is being watched in a recording of somebody else.
@@ -204,6 +206,7 @@ impl Running {
             last_wheels: PlanarPose::default(),
             latest_stamp: Stamp::default(),
             first_scan_due: true,
+            remarks: Vec::new(),
             planar_lines: 0,
             wheel_count: WheelCount::default(),
             observed: ObservedSweep::default(),

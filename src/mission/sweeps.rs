@@ -24,6 +24,7 @@ impl Running {
                 HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
                 HeadAction::Calibrated(report) => {
                     desk.info(format!("pan-tilt: {}", report.text));
+                    report.warning.into_iter().for_each(|warning| desk.warn(warning));
                     // A server that stalled, or a moment's rubbish, must not slow every later sweep.
                     if report.fit.is_none() && !self.calibrated_again {
                         self.calibrated_again = true;
@@ -40,8 +41,14 @@ impl Running {
     fn finish_sweep(&mut self, scan: Scan, desk: &mut Desk<'_>) {
         self.ledger.sweep(&scan);
         for remark in &scan.remarks {
-            desk.warn(format!("{} sweep: {remark}", scan.profile));
+            let text = format!("{} sweep: {remark}", scan.profile);
+            // What is as it was at the last sweep is no news.
+            match self.remarks.contains(remark) {
+                true => desk.info(text),
+                false => desk.warn(text),
+            }
         }
+        self.remarks.clone_from(&scan.remarks);
         if scan.driven_m.is_some() {
             return self.finish_nod(scan, desk);
         }

@@ -1,5 +1,6 @@
 //! When the laser's lines come, and what came out of order.
 
+use super::CLOCK_JUMP;
 use crate::scan::LaserLine;
 use crate::time::{Arrival, Span, Stamp};
 use serde::{Deserialize, Serialize};
@@ -25,6 +26,12 @@ impl LineRhythm {
     pub(super) fn note(&mut self, line: &LaserLine, now: Arrival) {
         self.last_arrival = Some(now);
         self.lines += 1;
+        // Stamps of another time than the clock's: lines that were under way when it jumped.
+        let apart =
+            |newest: Stamp| line.stamp - newest >= CLOCK_JUMP || newest - line.stamp >= CLOCK_JUMP;
+        if self.newest().is_some_and(apart) {
+            self.recent.clear();
+        }
         // In order of the stamps: the interval is the laser's, not that of the arrivals.
         let at = self.recent.partition_point(|&stamp| stamp < line.stamp);
         if self.recent.get(at) != Some(&line.stamp) {

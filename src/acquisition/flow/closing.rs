@@ -65,6 +65,7 @@ impl Flow {
         let reads = control.tilt.last_reading().is_some();
         self.ramp = None;
         self.remarks.extend(control.disorder().remark_since(&self.disorder_before));
+        self.remarks.extend(control.slowness_remark());
         if reads && self.readings_late > LATE {
             let seconds = self.readings_late.seconds();
             self.remarks.push(format!("the tilt's readings came late, by {seconds:.1} s or more"));

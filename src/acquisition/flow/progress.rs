@@ -1,27 +1,57 @@
 //! Whether the tilt comes on.
 
-use super::Flow;
+use super::{Flow, HELD_UP};
 use crate::acquisition::HeadAction;
 use crate::acquisition::control::HeadControl;
-use crate::time::Arrival;
+use crate::acquisition::profile::QuarterDegrees;
+use crate::robot::Demand;
+use crate::scan::LaserLine;
+use crate::time::{Arrival, Span};
 
-/// Lines without progress after which the tilt is taken to be stuck.
-const IDLE_LINES: u32 = 15;
+/// Time without progress, by the stamps of lines, after which the tilt is taken to be stuck.
+const IDLE: Span = Span::from_millis(2_900);
 
 impl Flow {
-    pub(super) fn note_progress(&mut self, came_on: bool, tilt_rad: f64) {
+    /// Told to stay, so that the law does not carry it on towards what it cannot reach.
+    pub(super) fn stay_at(
+        &mut self,
+        tilt_rad: f64,
+        control: &mut HeadControl,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        self.demanded = QuarterDegrees::nearest(tilt_rad);
+        let stay = Demand::Angle(self.demanded.radians());
+        actions.push(HeadAction::Send(control.command_tilt(stay, now)));
+    }
+
+    pub(super) fn note_progress(
+        &mut self,
+        came_on: bool,
+        tilt_rad: f64,
+        line: &LaserLine,
+        control: &HeadControl,
+        now: Arrival,
+    ) {
+        let cast = control.cast_time(line);
+        let held_up = control.clock().earliest(now).is_some_and(|server| server - cast > HELD_UP);
         if came_on {
             self.furthest_rad = tilt_rad;
-            self.idle_lines = 0;
+        }
+        if came_on || held_up {
+            self.idle_since = None;
         } else {
-            self.idle_lines += 1;
+            // Lines that a stall held up until now may be older than the command.
+            let since = self.sent_off.map_or(cast, |sent_off| cast.max(sent_off));
+            self.idle_since = self.idle_since.or(Some(since));
         }
     }
 
-    /// Whether the tilt has not come on for so many lines that it must be at rest.
-    pub(super) fn rests(&self, control: &HeadControl) -> bool {
+    /// Whether the tilt has not come on for so long that it must be at rest.
+    pub(super) fn rests(&self, line: &LaserLine, control: &HeadControl) -> bool {
         // A slow approach moves by little between lines; only readings can tell it from a stop.
-        self.idle_lines >= IDLE_LINES && !control.tilt.moves(control.clock().latest())
+        let idle = self.idle_since.map(|since| control.cast_time(line) - since);
+        idle.is_some_and(|idle| idle >= IDLE) && !control.tilt.moves(control.clock().latest())
     }
 
     /// Where a tilt rests that is not where it should be: as it reads itself, where it does.
@@ -31,11 +61,12 @@ impl Flow {
 
     pub(super) fn end_if_stuck(
         &mut self,
+        line: &LaserLine,
         control: &mut HeadControl,
         now: Arrival,
         actions: &mut Vec<HeadAction>,
     ) -> bool {
-        if !self.rests(control) {
+        if !self.rests(line, control) {
             return false;
         }
         self.remarks.push(format!(
