@@ -60,6 +60,16 @@ impl BodyTrack {
         Some(newest.inverse() * self.at(stamp)?)
     }
 
+    /// Whether the body neither drove nor turned between two stamps, as far as its poses tell.
+    pub fn stood(&self, from: Stamp, to: Stamp) -> bool {
+        // What odometry and inertial unit of a robot at rest differ by.
+        const STILL_M: f64 = 0.01;
+        const STILL_RAD: f64 = 0.01;
+        let (Some(from), Some(to)) = (self.at(from), self.at(to)) else { return true };
+        let moved = from.inverse() * to;
+        moved.translation.vector.norm() < STILL_M && moved.rotation.angle() < STILL_RAD
+    }
+
     /// Metres driven between `from` and the newest pose.
     pub fn driven_m(&self, from: Stamp) -> f64 {
         let since = self.poses.iter().filter(|&&(stamp, _)| stamp >= from);
@@ -103,6 +113,7 @@ mod tests {
         let expected = on_circle(3.8).inverse() * on_circle(1.0);
         assert!((moved.translation.vector - expected.translation.vector).norm() < 1e-9);
         assert!((track.driven_m(s(0.0)) - 3.8).abs() < 0.01);
+        assert!(!track.stood(s(1.0), s(1.2)) && track.stood(s(1.0), s(1.005)));
     }
 
     #[test]

@@ -1,10 +1,13 @@
 mod rhythm;
+mod turning;
 
 use super::body::BodyTrack;
 use super::clock::{ClockStep, StampClock};
 use super::config::AcquisitionConfig;
 use super::identify::ServoFit;
+use super::reach::Reach;
 use super::servo::ServoLaw;
+use super::stillness::StillWatch;
 use super::track::{AxisReading, AxisTrack};
 use super::{HeadAction, HeadCommand, HeadEvent};
 use crate::robot::{Demand, HeadPose, JointAngle, ScanHead};
@@ -39,6 +42,18 @@ pub struct HeadControl {
     tilt_proof: Option<ServoLaw>,
     pan_proof: Option<ServoLaw>,
     latency: Span,
+    /// Time after which a tilt of unknown law is taken to rest.
+    unknown_settle: Span,
+    /// What the tilt was told to reach, and was found to.
+    reach: Reach,
+    /// When an end of its reach was last found, and how long that is believed.
+    ended: Option<(Stamp, Span)>,
+    /// Until then an end found by the laser alone leaves it unsure where the tilt is.
+    unsure_until: Option<Stamp>,
+    /// Whether the laser sees that a tilt without readings turns.
+    still: StillWatch,
+    /// Height of the robot's origin above the floor, in metres, as far as is known.
+    pub(super) origin_height_m: Option<f64>,
     /// Tilt and body as they were known before the jump of the clock that was just noted.
     past: Option<Box<(AxisTrack, BodyTrack)>>,
     /// How late the last reading came.
@@ -71,6 +86,10 @@ const SCANNER_LAG: Span = Span::from_millis(300);
 /// Added to a delay of commands that was measured, for the wait until one is surely obeyed.
 const DELAY_SPARE: Span = Span::from_millis(20);
 
+/// A tilt that the laser has found at the end of its reach is where it was last seen to turn to, or so
+/// much farther on, in radians: a fast one runs on by that while the law and its times are believed.
+const UNSURE_RAD: f64 = 0.2;
+
 /// Lines stamped farther apart than this, one after the other, are not out of order: the clock jumped.
 const CLOCK_JUMP: Span = Span::from_millis(3_000);
 
@@ -91,6 +110,7 @@ impl HeadControl {
         };
         let latency = config.command_latency();
         let (tilt, pan) = (track(head.tilt()), track(head.pan()));
+        let tilt_limits = tilt.limits();
         Self {
             head: head.clone(),
             clock: StampClock::new(),
@@ -104,6 +124,12 @@ impl HeadControl {
             asked: None,
             asks: 0,
             latency,
+            unknown_settle: Span::from_seconds(config.unknown_settle_s),
+            reach: Reach::told(tilt_limits),
+            ended: None,
+            unsure_until: None,
+            still: StillWatch::default(),
+            origin_height_m: None,
             past: None,
             readings_late: Span::ZERO,
             disorder: Disorder::default(),
@@ -142,6 +168,9 @@ impl HeadControl {
                     self.readings_late = (sent - reading.stamp).max(Span::ZERO);
                     read(&mut self.tilt, reading.tilt);
                     read(&mut self.pan, reading.pan);
+                    if reading.tilt.is_some_and(|tilt| self.reach.is_exceeded_by(tilt.angle_rad)) {
+                        self.set_reach(self.reach.as_told(), None);
+                    }
                 }
                 step
             }
@@ -153,6 +182,11 @@ impl HeadControl {
                     self.disorder.lines_late = self.disorder.lines_late.max(behind);
                 }
                 self.rhythm.note(line, now);
+                if self.rhythm.is_whole(line) {
+                    let cast = self.cast_time(line);
+                    let expected = self.expected_of(cast);
+                    self.still.note(line, cast, expected.as_ref());
+                }
                 let step = self.scanner_clock.observe(line.stamp + SCANNER_LAG, now);
                 if self.clock.latest().is_some() { ClockStep::Steady } else { step }
             }
@@ -166,6 +200,7 @@ impl HeadControl {
         self.pan.forget_times();
         self.rhythm.forget_times();
         self.body.forget();
+        self.still.forget();
         true
     }
 
@@ -221,7 +256,10 @@ impl HeadControl {
         tolerance_rad: f64,
         in_force: Stamp,
     ) -> Option<Settle> {
-        Settle::of(&self.tilt, self.tilt_proof?, target_rad, tolerance_rad, in_force)
+        let unsure = self.unsure_until.is_some_and(|until| in_force < until);
+        let unsure_rad = if unsure { UNSURE_RAD } else { 0.0 };
+        let law = self.tilt_proof?;
+        Settle::of(&self.tilt, law, target_rad, tolerance_rad, in_force, unsure_rad)
     }
 
     /// The same of the pan.
@@ -231,7 +269,7 @@ impl HeadControl {
         tolerance_rad: f64,
         in_force: Stamp,
     ) -> Option<Settle> {
-        Settle::of(&self.pan, self.pan_proof?, target_rad, tolerance_rad, in_force)
+        Settle::of(&self.pan, self.pan_proof?, target_rad, tolerance_rad, in_force, 0.0)
     }
 
     /// Takes over what a calibration found: the model follows the law found. The waiting times keep to
@@ -363,8 +401,9 @@ impl Settle {
         target_rad: f64,
         tolerance_rad: f64,
         in_force: Stamp,
+        unsure_rad: f64,
     ) -> Option<Self> {
-        let error = track.error_bound_rad(target_rad, in_force) + tolerance_rad;
+        let error = track.error_bound_rad(target_rad, in_force) + tolerance_rad + unsure_rad;
         let total_s = law.settle_s(error, tolerance_rad);
         Some(Self { slew_s: law.slew_s(error), total_s })
     }

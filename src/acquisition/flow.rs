@@ -276,6 +276,9 @@ impl Flow {
         if !control.rhythm.is_whole(line) {
             return;
         }
+        if let Some(unmoved) = control.unmoved() {
+            return self.on_unmoved(&unmoved, control, now, actions);
+        }
         let cast = control.cast_time(line);
         let slower = control.clock().slower_by() - self.slower_before;
         if slower > HELD_UP && !control.reads_at(cast) {
@@ -294,6 +297,9 @@ impl Flow {
         let direction = self.way.direction();
         let step = self.way.step_at(here.angle_rad, control, config);
         if self.stage == Stage::Approaching {
+            if control.unsure_until().is_some_and(|until| control.cast_time(line) < until) {
+                return;
+            }
             let off = (here.angle_rad - first).abs();
             if off > 0.5 * step && (here.angle_rad - first) * direction < 0.0 || off > 1.5 * step {
                 let came_on = (here.angle_rad - self.furthest_rad).abs() > 1e-3;
@@ -310,6 +316,8 @@ impl Flow {
                     self.rests_at_rad(control).to_degrees(),
                     self.demanded
                 ));
+                let rest_rad = self.rests_at_rad(control);
+                control.rests_at(rest_rad, self.demanded.radians() - rest_rad);
                 self.stay_at(here.angle_rad, control, now, actions);
             }
             self.begin_flowing(here.angle_rad, control, now, actions);

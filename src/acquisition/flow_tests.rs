@@ -2,6 +2,7 @@
 
 use super::testbed::{Behaviour, Faults, Testbed, World, head};
 use super::*;
+use crate::geometry::AngleSpan;
 use proptest::prelude::*;
 
 /// UT2004 as it speaks: bursts of 0.2 s with jitter, lines a burst behind.
@@ -178,6 +179,52 @@ fn a_tilt_that_sticks_in_motion_ends_the_sweep_with_the_rows_before() {
 }
 
 #[test]
+fn a_tilt_without_readings_that_sticks_in_motion_ends_the_sweep_with_the_rows_before() {
+    for (name, behaviour) in [("UT2004", ut2004(false)), ("UDK", udk(false))] {
+        let mut bed = Testbed::new(behaviour, Faults::default(), 33);
+        let mut acquisition = calibrated(&mut bed);
+        bed.faults.tilt_sticks_at_s = Some(bed.now_s() + 15.0);
+        let scan = take(&mut bed, &mut acquisition, SweepRequest::model());
+        assert!(!scan.complete && scan.filed > 20, "{name}: {}: {:?}", scan.filed, scan.remarks);
+        assert!(scan.remarks[0].contains("last seen to turn at"), "{name}: {:?}", scan.remarks);
+        let told = scan.remarks.iter().any(|r| r.contains("it is stuck"));
+        assert!(told, "{name}: {:?}", scan.remarks);
+        let errors = bed.tilt_errors_deg(&scan);
+        assert!(quantile(&errors, 1.0) < 0.3, "{name}: {errors:?}");
+        assert!(acquisition.is_stuck());
+    }
+}
+
+#[test]
+fn limits_narrower_than_told_are_found_in_motion_without_readings() {
+    // A joint that met its limit on a jump got at least to where it was before the times could be off:
+    // 0.25 s at full speed are 2.4°, and a spring may have got nowhere, from the 6° to 14° of the
+    // calibration here.
+    for (name, behaviour, surely) in [("UT2004", ut2004(false), 0.25), ("UDK", udk(false), 0.1)] {
+        let mut bed = Testbed::new(behaviour, Faults::default(), 34);
+        let mut acquisition = calibrated(&mut bed);
+        bed.faults.true_limits = Some(AngleSpan::new(-0.2, 0.3));
+        // One sweep after another meets an end, some of them at once; a later one keeps to both.
+        let mut complete = None;
+        for _ in 0..6 {
+            let scan = take(&mut bed, &mut acquisition, SweepRequest::model());
+            let errors = bed.tilt_errors_deg(&scan);
+            let worst = errors.iter().map(|error| error.abs()).fold(0.0, f64::max);
+            assert!(worst < 0.3, "{name}: {errors:?}: {:?}", scan.remarks);
+            if scan.complete {
+                complete = Some(scan);
+                break;
+            }
+        }
+        let scan = complete.unwrap();
+        assert!(scan.filed > 80, "{name}: {}, {:?}", scan.filed, scan.remarks);
+        let limits = acquisition.control().reach().limits().unwrap();
+        assert!((-0.201..-0.1).contains(&limits.min_rad), "{name}: {limits:?}");
+        assert!((surely..0.301).contains(&limits.max_rad), "{name}: {limits:?}");
+    }
+}
+
+#[test]
 fn lines_held_up_by_a_stall_do_not_make_the_tilt_look_stuck() {
     let mut bed = Testbed::new(ut2004(true), Faults::default(), 35);
     let mut acquisition = calibrated(&mut bed);
@@ -198,6 +245,7 @@ fn a_sweep_begun_while_lines_are_held_up_does_not_take_them_for_a_tilt_at_rest()
     let scan = take(&mut bed, &mut acquisition, SweepRequest::model());
     // Lines that arrived together are no rows: nothing turned between them.
     assert!(scan.complete && scan.filed > 150, "{} rows: {:?}", scan.filed, scan.remarks);
+    assert!(bed.reaches.is_empty(), "{:?}", bed.reaches);
     assert!(quantile(&bed.tilt_errors_deg(&scan), 0.99) < 0.15);
 }
 

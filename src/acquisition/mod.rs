@@ -20,11 +20,14 @@ mod identify;
 mod nod;
 mod park;
 mod policy;
+mod probe;
 mod profile;
 mod ramp;
+mod reach;
 mod request;
 mod scan;
 mod servo;
+mod stillness;
 mod sweep;
 mod synchronise;
 #[cfg(test)]
@@ -48,6 +51,7 @@ pub use nod::NodTerms;
 pub use park::ParkState;
 pub use policy::{Interest, Offer, RING_M};
 pub use profile::{Clipped, FanConfig, Profile, QUARTER_DEGREE_RAD, QuarterDegrees};
+pub use reach::Reach;
 pub use request::{CONTINUOUS_CYCLE_S, SweepMode, SweepRequest};
 pub use scan::{Scan, ScanErrors, TimeBudget};
 pub use servo::{HINGE_GAP_RAD, ServoLaw, ServoState};
@@ -64,6 +68,7 @@ use crate::time::{Arrival, Span, Stamp};
 use calibrate::{Calibration, reference_profile};
 use nalgebra::Isometry3;
 use park::Park;
+use probe::Probe;
 use serde::{Deserialize, Serialize};
 use way::Way;
 
@@ -114,6 +119,8 @@ pub enum HeadAction {
     Finished(Box<Scan>),
     /// The calibration is over.
     Calibrated(Box<CalibrationReport>),
+    /// The tilt was found to reach something else than was known: less, or all of it again.
+    Reach(Reach),
 }
 
 /// Everything that moves the scan head: sweeps, and parking between them.
@@ -124,8 +131,6 @@ pub struct Acquisition {
     activity: Activity,
     /// Whether the server takes rates.
     rates: bool,
-    /// Height of the robot's origin above the ground, for the choice of the calibration's tilts.
-    origin_height_m: Option<f64>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -135,6 +140,7 @@ enum Activity {
     Sweeping(Box<Sweep>),
     Flowing(Box<Flow>),
     Calibrating(Box<Calibration>),
+    Probing(Box<Probe>),
 }
 
 impl Acquisition {
@@ -142,7 +148,7 @@ impl Acquisition {
     pub fn new(head: &ScanHead, law: Option<ServoLaw>, config: AcquisitionConfig) -> Self {
         let control = HeadControl::new(head, law, &config);
         let rates = !matches!(law, None | Some(ServoLaw::Spring { .. }));
-        Self { config, control, activity: Activity::Idle, rates, origin_height_m: None }
+        Self { config, control, activity: Activity::Idle, rates }
     }
 
     /// The head of a rig just created: UT2004 joints follow the hinge law at the speed that CONF gave,
@@ -155,13 +161,13 @@ impl Acquisition {
         };
         let mut acquisition = Self::new(&laser.head, law, config);
         acquisition.rates = rig.dialect == Dialect::Ut2004;
-        acquisition.origin_height_m = Some(rig.body.origin_height_m);
+        acquisition.stands_at(rig.body.origin_height_m);
         Some(acquisition)
     }
 
     /// Takes in how high the robot's origin stands above the floor, in metres.
     pub fn stands_at(&mut self, origin_height_m: f64) {
-        self.origin_height_m = Some(origin_height_m);
+        self.control.origin_height_m = Some(origin_height_m);
     }
 
     /// Finds out how the tilt moves and when commands and rays take effect: a sweep of nine rows at
@@ -169,7 +175,7 @@ impl Acquisition {
     /// [`HeadAction::Calibrated`].
     pub fn calibrate(&mut self, now: Arrival) -> Vec<HeadAction> {
         let head = self.control.head().clone();
-        let view = self.origin_height_m.map(|origin_height_m| GroundView {
+        let view = self.control.origin_height_m.map(|origin_height_m| GroundView {
             head: &head,
             origin_height_m,
             half_fov_rad: std::f64::consts::FRAC_PI_2,
@@ -189,8 +195,18 @@ impl Acquisition {
         self.control.timing().calibrated
     }
 
+    /// Whether the tilt was found not to turn at all.
+    pub fn is_stuck(&self) -> bool {
+        self.control.reach().stuck_rad().is_some()
+    }
+
     /// Begins a sweep; one that is under way is dropped.
     pub fn start(&mut self, request: SweepRequest, now: Arrival) -> Vec<HeadAction> {
+        if request.mode != SweepMode::Nodding {
+            self.control.try_again();
+        }
+        // First of all, so that whoever sends the commands lets them through.
+        let news = self.control.new_reach().map(HeadAction::Reach);
         let limits = self.control.head().tilt().and_then(|axis| axis.limits);
         let (profile, clipped) = request.profile.clipped(limits);
         let driving = request.mode == SweepMode::Nodding;
@@ -220,7 +236,7 @@ impl Acquisition {
         };
         let (control, config) = (&mut self.control, &self.config);
         let pan_rad = request.pan_rad;
-        match drive {
+        let actions = match drive {
             None => {
                 let (mut sweep, actions) =
                     Sweep::start(profile, pan_rad, tolerance_rad, control, config, now);
@@ -239,7 +255,8 @@ impl Acquisition {
                     if over { Activity::Idle } else { Activity::Flowing(Box::new(flow)) };
                 actions
             }
-        }
+        };
+        news.into_iter().chain(actions).collect()
     }
 
     /// The sweep that shows most of `interest` per second, in motion if `flowing`; `None` for a laser
@@ -282,6 +299,10 @@ impl Acquisition {
         if !self.is_calibrated() {
             return Err("the tilt's law is not known".to_owned());
         }
+        let latest = self.control.clock().latest();
+        if !latest.is_some_and(|latest| self.control.reads_at(latest)) {
+            return Err("the tilt sends no readings that would show it stuck on the way".to_owned());
+        }
         let pace = policy::Pace::of(&self.control, &self.config, true);
         let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
         nod::choose(view, &self.config.fan, interest, &pace, tilt_rad, terms)
@@ -305,10 +326,13 @@ impl Acquisition {
         let scan = match &mut self.activity {
             Activity::Sweeping(sweep) => sweep.stop(why, &self.control, now),
             Activity::Flowing(flow) => flow.stop(why, &self.control, now),
+            Activity::Probing(_) => None,
             Activity::Idle | Activity::Parking(_) | Activity::Calibrating(_) => return None,
         };
-        self.activity = Activity::Idle;
-        scan
+        match std::mem::replace(&mut self.activity, Activity::Idle) {
+            Activity::Probing(probe) => Some(probe.give_up()),
+            _ => scan,
+        }
     }
 
     /// Parks the head at `pose`; a sweep that is under way is dropped.
@@ -330,6 +354,16 @@ impl Acquisition {
     /// Takes an event; returns what is to be sent and what was done.
     pub fn handle(&mut self, event: &HeadEvent<'_>, now: Arrival) -> Vec<HeadAction> {
         let jumped = self.control.note(event, now);
+        let limits = self.control.reach().limits();
+        let mut actions = self.pass_on(event, jumped, now);
+        self.probe_new_end(limits, &mut actions, now);
+        // First of all, so that whoever takes the scan knows what it could not show.
+        let news = self.control.new_reach().map(HeadAction::Reach);
+        actions.splice(0..0, news);
+        actions
+    }
+
+    fn pass_on(&mut self, event: &HeadEvent<'_>, jumped: bool, now: Arrival) -> Vec<HeadAction> {
         match &mut self.activity {
             Activity::Idle => Vec::new(),
             Activity::Parking(park) => {
@@ -363,6 +397,16 @@ impl Acquisition {
                 }
                 actions
             }
+            Activity::Probing(probe) => match probe.handle(&mut self.control, now) {
+                Some(scan) => {
+                    self.activity = Activity::Idle;
+                    vec![HeadAction::Finished(scan)]
+                }
+                None => {
+                    let step = probe.next_step(&mut self.control, now);
+                    step.into_iter().chain(self.control.ask_if_due(now)).collect()
+                }
+            },
         }
     }
 
@@ -380,6 +424,7 @@ impl Acquisition {
             }
             Activity::Calibrating(calibration) => calibration.next_wakeup(),
             Activity::Parking(_) => ask_at(),
+            Activity::Probing(probe) => earliest(Some(probe.next_wakeup()), ask_at()),
             Activity::Idle => None,
         }
     }
@@ -389,7 +434,10 @@ impl Acquisition {
         match &self.activity {
             Activity::Sweeping(sweep) => Some(sweep.progress()),
             Activity::Flowing(flow) => Some(flow.progress()),
-            Activity::Idle | Activity::Parking(_) | Activity::Calibrating(_) => None,
+            Activity::Idle
+            | Activity::Parking(_)
+            | Activity::Calibrating(_)
+            | Activity::Probing(_) => None,
         }
     }
 

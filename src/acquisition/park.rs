@@ -52,10 +52,14 @@ pub(super) struct Park {
     pose: HeadPose,
     /// From this stamp on the head is there by computation; `None` until the server's clock is known.
     settled: Option<Stamp>,
+    /// From this stamp on it was told a second time, the laser having seen nothing turn.
+    told_again: Option<Stamp>,
 }
 
 /// The guard line needs no more: a quarter of a degree moves it by a few centimetres.
 const TOLERANCE_RAD: f64 = super::QUARTER_DEGREE_RAD;
+/// Time given to a second command beyond its settling, a few lines long.
+const LOOKS_AGAIN: Span = Span::from_millis(1_000);
 
 impl Park {
     pub(super) fn start(
@@ -68,7 +72,7 @@ impl Park {
             pan_rad: control.head().pan().map_or(0.0, |axis| axis.clamp(pose.pan_rad)),
             tilt_rad: control.head().tilt().map_or(0.0, |axis| axis.clamp(pose.tilt_rad)),
         };
-        let mut park = Self { pose: reachable, settled: None };
+        let mut park = Self { pose: reachable, settled: None, told_again: None };
         let commands = park.command(control, config, now);
         (park, commands)
     }
@@ -110,7 +114,37 @@ impl Park {
         if jumped || self.settled.is_none() {
             return self.command(control, config, now);
         }
-        Vec::new()
+        self.heed_laser(control, config, now)
+    }
+
+    /// A tilt that the laser does not see turning is told once more, and then taken to rest where it is.
+    fn heed_laser(
+        &mut self,
+        control: &mut HeadControl,
+        config: &AcquisitionConfig,
+        now: Arrival,
+    ) -> Vec<HeadCommand> {
+        let Some(unmoved) = control.unmoved() else {
+            self.told_again = None;
+            return Vec::new();
+        };
+        match (self.told_again, control.still().newest()) {
+            (None, _) => {
+                let commands = self.command(control, config, now);
+                self.told_again = self.settled;
+                commands
+            }
+            (Some(settled), Some(newest)) if newest > settled + LOOKS_AGAIN => {
+                control.rests_at(unmoved.rest_rad, unmoved.towards);
+                self.told_again = None;
+                // As near to it as the tilt reaches.
+                let limits = control.reach().limits();
+                self.pose.tilt_rad =
+                    limits.map_or(self.pose.tilt_rad, |l| l.clamp(self.pose.tilt_rad));
+                self.command(control, config, now)
+            }
+            _ => Vec::new(),
+        }
     }
 
     pub(super) fn state(&self, control: &HeadControl, now: Arrival) -> ParkState {
@@ -120,6 +154,11 @@ impl Park {
         let verdict =
             control.tilt.verdict(self.pose.tilt_rad, TOLERANCE_RAD, settled, Stamp(i64::MAX));
         let (since, pose) = (settled, self.pose);
+        // Where a stuck tilt rests is known to a step of the sweep that found it: no guard.
+        let stuck = control.reach().stuck_rad().filter(|_| verdict == Verdict::Unverified);
+        if let Some(tilt_rad) = stuck {
+            return ParkState::Elsewhere { tilt_rad };
+        }
         match verdict {
             Verdict::Confirmed => ParkState::Verified { since, pose },
             Verdict::Contradicted { .. } if control.tilt.moves(Some(server)) => ParkState::Moving,
@@ -127,6 +166,8 @@ impl Park {
             Verdict::Unverified if server < settled => ParkState::Moving,
             // A rig whose readings are merely due is given a moment to send the next one.
             Verdict::Unverified if reads(control, server) => ParkState::Moving,
+            // Nor is a tilt there that the laser saw no turn of.
+            Verdict::Unverified if control.still().suspects() => ParkState::Moving,
             Verdict::Unverified => ParkState::Computed { since, pose },
         }
     }

@@ -7,6 +7,7 @@ use super::config::AcquisitionConfig;
 use super::control::{Disorder, HeadControl, Settle};
 use super::profile::Profile;
 use super::scan::{FiledRow, Scan, ScanErrors, TimeBudget, image_of};
+use super::stillness::doubt_remark;
 use super::{HeadAction, HeadEvent};
 use crate::robot::{Demand, HeadPose};
 use crate::scan::LaserLine;
@@ -251,6 +252,9 @@ impl Sweep {
         if !control.rhythm.is_whole(line) {
             return;
         }
+        if let Some(unmoved) = control.unmoved() {
+            return self.on_unmoved(&unmoved, control, now, actions);
+        }
         let target = self.profile.tilts[waiting.row].radians();
         let cast = line.stamp - STAMP_ROUNDING;
         let ready = readiness(waiting, target, self.tolerance_rad, cast, control, config);
@@ -311,7 +315,11 @@ impl Sweep {
                 > control.clock().arrival_span(control.rhythm.interval()) + config.row_timeout()
         });
         match elsewhere {
-            Some(stuck_rad) => self.skip_unreachable(row, stuck_rad),
+            Some(stuck_rad) => {
+                self.skip_unreachable(row, stuck_rad);
+                let demanded = self.profile.tilts[row].radians();
+                control.rests_at(stuck_rad, demanded - stuck_rad);
+            }
             None if silent && self.lost_in_a_row >= config.give_up_rows => {
                 let last = control.rhythm.last_arrival().unwrap_or(self.started);
                 self.remarks.push(format!(
@@ -404,6 +412,15 @@ impl Sweep {
 
     fn finish(&mut self, control: &HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
         self.step = Step::Finished;
+        let mut doubted = 0;
+        for row in &mut self.rows {
+            let cast = row.line.as_ref().map(|line| control.cast_time(line));
+            if cast.is_some_and(|cast| control.doubts(cast)) {
+                row.line = None;
+                doubted += 1;
+            }
+        }
+        self.remarks.extend(doubt_remark(doubted));
         let filed = self.filed();
         self.remarks.extend(control.disorder().remark_since(&self.disorder_before));
         self.remarks.extend(control.slowness_remark());

@@ -4,7 +4,8 @@
 //! need, and it can be told to misbehave.
 
 use super::{
-    Acquisition, CalibrationReport, HeadAction, HeadCommand, HeadEvent, Scan, ServoLaw, ServoState,
+    Acquisition, CalibrationReport, HeadAction, HeadCommand, HeadEvent, Reach, Scan, ServoLaw,
+    ServoState,
 };
 use crate::geometry::AngleSpan;
 use crate::robot::{Demand, HeadPose, HeadReading, Joint, JointAngle, JointKind, Mount, ScanHead};
@@ -100,6 +101,8 @@ pub struct Testbed {
     pub world: World,
     /// Reports of calibrations.
     pub calibrations: Vec<CalibrationReport>,
+    /// What the tilt was found to reach.
+    pub reaches: Vec<Reach>,
 }
 
 #[derive(Clone, Debug)]
@@ -204,6 +207,7 @@ impl Testbed {
             lines: 0,
             world: World::default(),
             calibrations: Vec::new(),
+            reaches: Vec::new(),
         }
     }
 
@@ -254,6 +258,7 @@ impl Testbed {
                 }
                 HeadAction::Finished(scan) => finished = Some(*scan),
                 HeadAction::Calibrated(report) => self.calibrations.push(*report),
+                HeadAction::Reach(reach) => self.reaches.push(reach),
                 // Its scanner speaks by itself.
                 HeadAction::Ask | HeadAction::Filed { .. } => {}
             }

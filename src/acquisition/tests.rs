@@ -185,6 +185,100 @@ fn a_sweep_of_ones_own_choice_gets_the_fine_rows_that_the_way_requires() {
     assert!(with(Profile::coarse(2.0), 1.5).1 > 0);
 }
 
+/// A head without readings, and what its laser makes of a fault.
+fn unread(faults: Faults, seed: u64) -> (Testbed, Acquisition) {
+    let behaviour = Behaviour { readings: false, ..Behaviour::default() };
+    let acquisition = fixture(&behaviour, Some(behaviour.law));
+    (Testbed::new(behaviour, faults, seed), acquisition)
+}
+
+#[test]
+fn a_tilt_without_readings_that_sticks_is_seen_by_the_laser_and_its_rows_are_left_out() {
+    let (mut bed, mut acquisition) =
+        unread(Faults { tilt_sticks_at_s: Some(24.0), ..Faults::default() }, 15);
+    let scan = sweep(&mut bed, &mut acquisition, rows(-40, 120));
+    assert!(!scan.complete && (10..30).contains(&scan.filed), "{}: {:?}", scan.filed, scan.remarks);
+    assert!(scan.remarks[0].starts_with("the laser saw the same in"), "{:?}", scan.remarks);
+    assert!(scan.remarks.iter().any(|r| r.contains("it is stuck")), "{:?}", scan.remarks);
+    let errors = bed.tilt_errors_deg(&scan);
+    assert!(worst(&errors) <= TOLERANCE_DEG + 1e-9, "{errors:?}");
+    assert!(acquisition.is_stuck() && bed.reaches.last().is_some_and(|r| r.stuck_rad().is_some()));
+    assert!(bed.now_s() < 100.0, "the sweep goes not on for all its rows: {} s", bed.now_s());
+    // Wherever it is parked now, no line of it guards.
+    let actions = acquisition.park(HeadPose::tilted(0.3), bed.now());
+    bed.take(actions);
+    bed.run(&mut acquisition, 6.0);
+    assert!(matches!(acquisition.parked(bed.now()), ParkState::Elsewhere { .. }));
+}
+
+#[test]
+fn limits_narrower_than_told_are_found_without_readings_and_later_sweeps_keep_to_them() {
+    let true_limits = Some(AngleSpan::new(-1.0, 8.3_f64.to_radians()));
+    let (mut bed, mut acquisition) = unread(Faults { true_limits, ..Faults::default() }, 16);
+    let scan = sweep(&mut bed, &mut acquisition, rows(-10, 100));
+    assert!(!scan.complete && scan.filed >= 40, "{}: {:?}", scan.filed, scan.remarks);
+    assert!(scan.remarks.iter().any(|r| r.contains("limit of the tilt")), "{:?}", scan.remarks);
+    let errors = bed.tilt_errors_deg(&scan);
+    assert!(worst(&errors) <= TOLERANCE_DEG + 1e-9, "{errors:?} {:?}", scan.remarks);
+    let limits = acquisition.control().head().tilt().and_then(|axis| axis.limits).unwrap();
+    assert!((7.9..8.31).contains(&limits.max_rad.to_degrees()), "{limits:?}");
+    assert!(!acquisition.is_stuck() && bed.reaches.len() == 1, "{:?}", bed.reaches);
+    let scan = sweep(&mut bed, &mut acquisition, rows(20, 40));
+    assert!(scan.complete && scan.filed < 15, "{}: {:?}", scan.filed, scan.remarks);
+    assert!(scan.remarks[0].starts_with("the tilt's limits cut"), "{:?}", scan.remarks);
+    assert!(worst(&bed.tilt_errors_deg(&scan)) <= TOLERANCE_DEG + 1e-9);
+}
+
+#[test]
+fn limits_that_readings_show_are_kept_to_and_given_up_when_readings_lie_beyond() {
+    let behaviour = Behaviour::default();
+    let mut acquisition = fixture(&behaviour, Some(behaviour.law));
+    let true_limits = Some(AngleSpan::new(-1.0, 1.4_f64.to_radians()));
+    let mut bed = Testbed::new(behaviour, Faults { true_limits, ..Faults::default() }, 17);
+    sweep(&mut bed, &mut acquisition, rows(-4, 16));
+    let limits = acquisition.control().reach().limits().unwrap();
+    assert!((limits.max_rad.to_degrees() - 1.4).abs() < 0.05, "{limits:?}");
+    bed.faults.true_limits = None;
+    let told = acquisition.handle(
+        &HeadEvent::Joints(crate::robot::HeadReading {
+            stamp: acquisition.control().clock().latest().unwrap()
+                + crate::time::Span::from_millis(1),
+            pan: None,
+            tilt: Some(crate::robot::JointAngle { angle_rad: 0.2, half_width_rad: 1e-4 }),
+        }),
+        bed.now(),
+    );
+    assert!(matches!(told.first(), Some(HeadAction::Reach(reach)) if !reach.is_narrowed()));
+}
+
+#[test]
+fn a_tilt_without_readings_that_sticks_before_it_is_parked_is_not_called_parked() {
+    let (mut bed, mut acquisition) =
+        unread(Faults { tilt_sticks_at_s: Some(1.5), ..Faults::default() }, 18);
+    bed.run(&mut acquisition, 1.0);
+    let actions = acquisition.park(HeadPose::tilted(0.5), bed.now());
+    bed.take(actions);
+    for _ in 0..40 {
+        bed.run(&mut acquisition, 0.4);
+        let state = acquisition.parked(bed.now());
+        let thinks = matches!(state, ParkState::Computed { pose, .. } if pose.tilt_rad > 0.3);
+        assert!(!thinks, "{state:?} at {} s", bed.now_s());
+    }
+    assert!(bed.reaches.iter().any(Reach::is_narrowed), "{:?}", bed.reaches);
+}
+
+#[test]
+fn a_nod_is_not_taken_where_no_reading_would_show_a_tilt_that_sticks() {
+    let (mut bed, mut acquisition) = unread(Faults::default(), 19);
+    bed.run(&mut acquisition, 1.0);
+    acquisition.control.timing.calibrated = true;
+    let head = acquisition.control().head().clone();
+    let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: 1.5 };
+    let terms = NodTerms { full_mps: 0.5, slow_mps: 0.1, sure_m: 9.0, guard_m: 1.0, stop_s: 4.0 };
+    let refused = acquisition.choose_nod(&view, &Interest::default(), &terms);
+    assert!(refused.is_err_and(|why| why.contains("no readings")));
+}
+
 #[test]
 fn readings_that_come_late_leave_the_computed_wait_to_decide() {
     let behaviour = Behaviour::default();

@@ -75,6 +75,24 @@ impl AxisTrack {
         self.law = Some(law);
     }
 
+    /// The angles that the joint reaches, as far as is known.
+    pub fn limits(&self) -> Option<AngleSpan> {
+        self.limits
+    }
+
+    /// Takes over what the joint was found to reach. With `rests_rad` it is taken to rest there now,
+    /// whatever it was told before; without, its readings tell where it is.
+    pub fn limit(&mut self, limits: Option<AngleSpan>, rests_rad: Option<f64>) {
+        self.limits = limits;
+        if let Some(angle_rad) = rests_rad {
+            self.start = ServoState::at_rest(angle_rad);
+            self.commands.clear();
+        }
+        for at in 0..self.commands.len() {
+            self.commands[at].1 = self.clamped(self.commands[at].1);
+        }
+    }
+
     /// Takes note of a demand in force from `stamp` on. A demand earlier than one already noted
     /// counts from the later of the two: commands are obeyed in order.
     pub fn demand(&mut self, stamp: Stamp, demand: Demand) {

@@ -146,6 +146,11 @@ impl Explorer {
         }
     }
 
+    /// The rig sees ground from `blind_m` on, and a sweep takes `scan_s`, where that has changed.
+    pub fn sees(&mut self, blind_m: f64, scan_s: f64) {
+        (self.config.blind_m, self.config.scan_s) = (blind_m, scan_s);
+    }
+
     /// The configuration in force.
     pub fn config(&self) -> &ExploreConfig {
         &self.config

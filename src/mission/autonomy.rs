@@ -4,7 +4,7 @@ use super::config::AgentConfig;
 use super::operator::Mode;
 use super::pilot::Progress;
 use super::running::{Activity, Desk, Drive, Look, Running, Verdict};
-use crate::acquisition::{ParkState, Profile, SweepRequest};
+use crate::acquisition::{Acquisition, ParkState, Profile, SweepRequest};
 use crate::exploration::Decision;
 use crate::geometry::wrap_pi;
 use crate::navigation::{CostMap, DriveCommand, RecoveryStep, Trouble};
@@ -96,9 +96,12 @@ impl Running {
         Verdict::GoOn
     }
 
-    /// Whether the robot may drive on its own: it can see edges, or the floor was vouched for.
+    /// Whether the robot may drive on its own: it can see edges, for which the tilt must turn, or the
+    /// floor was vouched for.
     pub(super) fn may_explore(&self, config: &AgentConfig) -> bool {
-        self.sees_edges() || (config.belief.terrain.flat_floor && self.planar_lines >= PLANAR_LINES)
+        let stuck = self.acquisition.as_ref().is_some_and(Acquisition::is_stuck);
+        (self.sees_edges() && !stuck)
+            || (config.belief.terrain.flat_floor && self.planar_lines >= PLANAR_LINES)
     }
 
     /// Stands still, then looks.
@@ -155,6 +158,11 @@ impl Running {
     fn choose(&mut self, desk: &mut Desk<'_>) -> Verdict {
         if let Some(until) = desk.end.filter(|_| self.closed) {
             self.activity = Activity::Rest { until };
+            return Verdict::GoOn;
+        }
+        if !self.may_explore(desk.config) {
+            self.stop(desk);
+            self.activity = Activity::Stand;
             return Verdict::GoOn;
         }
         self.refresh_grid(desk.now);

@@ -8,8 +8,8 @@ pub use operated::{Hold, Way};
 use super::config::AgentConfig;
 use crate::acquisition::{GuardTilt, ParkState, guard_tilt};
 use crate::navigation::{
-    Blocked, DriveCommand, FollowStatus, Follower, Footprint, Guard, GuardVerdict, Motion, Path,
-    Pose2, Recovery, RecoveryStep, StuckDetector, Swath, Trail, Trouble,
+    Blocked, DriveCommand, FollowConfig, FollowStatus, Follower, Footprint, Guard, GuardVerdict,
+    Motion, Path, Pose2, Recovery, RecoveryStep, StuckDetector, Swath, Trail, Trouble,
 };
 use crate::robot::Rig;
 use crate::scan::LaserLine;
@@ -78,17 +78,7 @@ impl Pilot {
     /// A pilot for a rig of this shape.
     pub fn new(config: &AgentConfig, rig: &Rig, shape: &RobotShape) -> Self {
         let edge_margin_m = config.belief.terrain.edge_margin_m;
-        let mut follow = config.follow.clone();
-        // A robot that cannot turn its wheels faster is not asked to.
-        follow.full_mps = follow.full_mps.min(0.95 * rig.drive.max_linear_mps());
-        follow.slow_mps = follow.slow_mps.min(follow.full_mps);
-        follow.turn_rps = follow.turn_rps.min(0.95 * rig.drive.max_angular_rps());
-        let guard_tilt = rig
-            .ground_view()
-            .and_then(|view| guard_tilt(follow.full_mps, &view, &config.acquisition.guard));
-        if let Some(tilt) = guard_tilt {
-            follow.full_mps = follow.full_mps.min(tilt.max_speed_mps);
-        }
+        let (follow, guard_tilt) = guarded(config, rig);
         Self {
             footprint: Footprint::new(shape, edge_margin_m),
             guard: Guard::new(config.guard.clone(), shape),
@@ -102,6 +92,15 @@ impl Pilot {
             follower: Follower::new(follow, shape, edge_margin_m),
             shape: shape.clone(),
         }
+    }
+
+    /// Goes by what the rig's tilt reaches now; the path and the way back stay.
+    pub fn refit(&mut self, config: &AgentConfig, rig: &Rig) {
+        let (follow, guard_tilt) = guarded(config, rig);
+        self.guard_tilt = guard_tilt;
+        self.slow_mps = follow.slow_mps;
+        self.watch = Watch::default();
+        self.follower.reconfigure(follow);
     }
 
     /// Where the tilt is parked while driving; `None` for a laser that cannot guard.
@@ -170,7 +169,7 @@ impl Pilot {
         self.swath.correct(before, after);
     }
 
-    /// Judges a line taken with the head parked.
+    /// Judges a line taken with the head parked; whether it shows the way as it should be.
     pub fn watch(
         &mut self,
         line: &LaserLine,
@@ -178,7 +177,7 @@ impl Pilot {
         world_from_robot: &Isometry3<f64>,
         grid: &Grid,
         now: Arrival,
-    ) {
+    ) -> bool {
         for p in self.guard.level_ground(line, robot_from_sensor) {
             self.swath.met(&(world_from_robot * p).xy());
         }
@@ -192,6 +191,7 @@ impl Pilot {
         } else {
             self.watch.surprises = 0;
         }
+        verdict.is_clear()
     }
 
     /// Whether a verdict contradicts what the grid holds on the robot's own way. What the grid knows
@@ -308,6 +308,22 @@ impl Pilot {
     ) -> RecoveryStep {
         recovery.step(now, pose, &self.trail, grid)
     }
+}
+
+/// How fast a rig may follow a path, and where its laser guards the way.
+fn guarded(config: &AgentConfig, rig: &Rig) -> (FollowConfig, Option<GuardTilt>) {
+    let mut follow = config.follow.clone();
+    // A robot that cannot turn its wheels faster is not asked to.
+    follow.full_mps = follow.full_mps.min(0.95 * rig.drive.max_linear_mps());
+    follow.slow_mps = follow.slow_mps.min(follow.full_mps);
+    follow.turn_rps = follow.turn_rps.min(0.95 * rig.drive.max_angular_rps());
+    let guard_tilt = rig
+        .ground_view()
+        .and_then(|view| guard_tilt(follow.full_mps, &view, &config.acquisition.guard));
+    if let Some(tilt) = guard_tilt {
+        follow.full_mps = follow.full_mps.min(tilt.max_speed_mps);
+    }
+    (follow, guard_tilt)
 }
 
 fn is_barrier(class: CellClass) -> bool {

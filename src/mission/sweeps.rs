@@ -2,8 +2,8 @@
 
 use super::floor::floor_below_m;
 use super::pilot::Pilot;
-use super::running::{Desk, Look, Running, explorer, shape_of};
-use crate::acquisition::{HeadAction, HeadEvent, Profile, Scan};
+use super::running::{Activity, Desk, Look, Running, explorer, shape_of};
+use crate::acquisition::{HeadAction, HeadEvent, Profile, Reach, Scan};
 
 impl Running {
     /// Hands an event to the acquisition and does what it asks.
@@ -22,6 +22,7 @@ impl Running {
                 HeadAction::Ask => desk.out.extend(self.rig.trigger_command()),
                 HeadAction::Filed { .. } => {}
                 HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
+                HeadAction::Reach(reach) => self.take_reach(&reach, desk),
                 HeadAction::Calibrated(report) => {
                     desk.info(format!("pan-tilt: {}", report.text));
                     report.warning.into_iter().for_each(|warning| desk.warn(warning));
@@ -52,7 +53,7 @@ impl Running {
         if scan.driven_m.is_some() {
             return self.finish_nod(scan, desk);
         }
-        if std::mem::take(&mut self.first_scan_due) {
+        if scan.filed > 0 && std::mem::take(&mut self.first_scan_due) {
             self.measure_floor(&scan, desk);
         }
         let (profile, filed, seconds) = (scan.profile.clone(), scan.filed, scan.seconds());
@@ -131,11 +132,44 @@ impl Running {
         self.explorer = explorer(desk.config, &self.rig, self.acquisition.as_ref());
     }
 
+    /// The tilt reaches something else than was known: what is planned goes by it from now on.
+    fn take_reach(&mut self, reach: &Reach, desk: &mut Desk<'_>) {
+        if let Some(laser) = &mut self.rig.laser {
+            laser.head.limit_tilt(reach.limits());
+        }
+        self.pilot.refit(desk.config, &self.rig);
+        let explore = explorer(desk.config, &self.rig, self.acquisition.as_ref());
+        self.explorer.sees(explore.config().blind_m, explore.config().scan_s);
+        if !self.may_explore(desk.config) {
+            desk.warn(format!(
+                "{reach}: no ground ahead can be looked at, the robot stays where it is"
+            ));
+            self.queue.clear();
+            if matches!(self.activity, Activity::Drive(_)) {
+                self.stop(desk);
+                self.activity = Activity::Stand;
+            }
+            return;
+        }
+        desk.warn(reach.to_string());
+        // Before the first scan has measured how high the laser stands, this would be said again soon.
+        if reach.is_narrowed() && !self.first_scan_due {
+            self.warn_of_sight(desk);
+        }
+        if matches!(self.activity, Activity::Drive(_)) {
+            self.park(desk);
+        }
+    }
+
     /// Says what ground the rig cannot see, and why.
     fn warn_of_sight(&self, desk: &mut Desk<'_>) {
         let (Some(acquisition), Some(view)) = (&self.acquisition, self.rig.ground_view()) else {
             return;
         };
+        // Of a stuck tilt it was said already that it shows no ground.
+        if acquisition.is_stuck() {
+            return;
+        }
         if let Some(nearest_m) = view.visibility().nearest_from_centre_m {
             desk.warn(format!("ground nearer than {nearest_m:.2} m ahead cannot be seen"));
         }

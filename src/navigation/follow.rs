@@ -164,6 +164,11 @@ impl Follower {
         &self.config
     }
 
+    /// Goes by another configuration from now on; path and speed are kept.
+    pub fn reconfigure(&mut self, config: FollowConfig) {
+        self.config = config;
+    }
+
     /// Takes a new path; the speed the robot has is kept.
     pub fn set_path(&mut self, path: Path) {
         self.path = path;

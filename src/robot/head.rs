@@ -160,6 +160,15 @@ impl ScanHead {
         *self = self.clone().with_inverted(joint);
     }
 
+    /// Narrows or widens what the tilt joint reaches, in core angles, as far as it was found out.
+    pub fn limit_tilt(&mut self, limits: Option<AngleSpan>) {
+        let Some(tilt) = &mut self.tilt else { return };
+        tilt.limits = limits;
+        let sign = tilt.core_per_wire;
+        self.mount.joints[tilt.joint].limits =
+            limits.map(|core| AngleSpan::new(core.min_rad * sign, core.max_rad * sign));
+    }
+
     fn with_inverted(self, joint: Option<usize>) -> Self {
         let mut mount = self.mount;
         if let Some(joint) = joint {

@@ -207,7 +207,7 @@ impl Bench {
                     let ask = self.rig.trigger_command().unwrap();
                     self.send(&ask);
                 }
-                HeadAction::Filed { .. } => {}
+                HeadAction::Filed { .. } | HeadAction::Reach(_) => {}
                 HeadAction::Finished(scan) => self.finished = Some(*scan),
                 HeadAction::Calibrated(report) => self.calibrated = Some(*report),
             }

@@ -43,11 +43,11 @@ fn limits_narrower_than_told_leave_the_rows_within() {
     let (mut bench, scan) = scan_with(FaultKind::TiltLimits, None, Some(0.3));
     assert!(!scan.complete);
     usable(&bench, &scan, "the tilt rests at");
-    // Later sweeps begin with the limit in force, some of them at the end that is out of reach.
-    for _ in 0..2 {
+    // The next one meets the other end, and later ones keep to both.
+    for says in ["the tilt rests at", "the tilt's limits cut"] {
         let later = bench.take(SweepRequest::model());
         assert!(later.filed >= 100, "{} rows: {:?}", later.filed, later.remarks);
-        usable(&bench, &later, "the tilt rests at");
+        usable(&bench, &later, says);
     }
 }
 
@@ -110,4 +110,55 @@ fn readings_that_come_late_are_waited_for() {
     let (bench, scan) = scan_with(FaultKind::Delay, Some("MISSTA"), Some(2.0));
     assert!(scan.complete, "{:?}", scan.remarks);
     usable(&bench, &scan, "readings came late");
+}
+
+fn fault(kind: FaultKind, at_s: f64, value: Option<f64>) -> FaultSpec {
+    FaultSpec { at_s, for_s: None, robot: None, kind, what: None, value }
+}
+
+/// Takes model scans with a fault at a robot that sends no tilt readings. No row may lie elsewhere than
+/// it was taken, beyond what a sweep in motion without readings is off by.
+fn without_readings(scenario: &'static str, fault: FaultSpec, scans: usize) -> (Bench, Vec<Scan>) {
+    let setting = Setting { scenario, faults: vec![fault], ..Setting::new(Dialect::Ut2004, false) };
+    let mut bench = Bench::new(&setting, AcquisitionConfig::default());
+    bench.calibrate();
+    let scans: Vec<Scan> = (0..scans).map(|_| bench.take(SweepRequest::model())).collect();
+    for scan in &scans {
+        let errors = bench.tilt_errors_deg(scan);
+        let worst = errors.iter().map(|error| error.abs()).fold(0.0, f64::max);
+        assert!(worst <= 0.4, "{scenario}: {worst}° off, {errors:?}: {:?}", scan.remarks);
+    }
+    (bench, scans)
+}
+
+#[test]
+fn a_tilt_without_readings_that_never_turns_puts_no_row_into_a_scan() {
+    // The hall of the station is open ahead, and the laser sees its walls alone.
+    for scenario in ["box", "station"] {
+        let (bench, scans) = without_readings(scenario, fault(FaultKind::TiltStuck, 1.0, None), 2);
+        let reach = bench.acquisition.control().reach();
+        assert!(reach.is_narrowed(), "{scenario}: {reach}: {:?}", scans[1].remarks);
+        let filed = scans[1].filed;
+        assert!(filed <= 2, "{scenario}: {filed} rows: {:?}", scans[1].remarks);
+    }
+}
+
+#[test]
+fn a_tilt_without_readings_that_sticks_leaves_the_rows_before() {
+    let (bench, scans) = without_readings("box", fault(FaultKind::TiltStuck, 60.0, None), 3);
+    assert!(scans[0].filed >= 30, "{} rows: {:?}", scans[0].filed, scans[0].remarks);
+    assert!(bench.acquisition.is_stuck(), "{:?}", scans[2].remarks);
+}
+
+#[test]
+fn limits_narrower_than_told_without_readings_leave_the_rows_within() {
+    for scenario in ["box", "station"] {
+        let limit = fault(FaultKind::TiltLimits, 55.0, Some(0.3));
+        let (bench, scans) = without_readings(scenario, limit, 5);
+        let limits = bench.acquisition.control().reach().limits().unwrap();
+        assert!(limits.max_rad <= 0.301 || limits.min_rad >= -0.301, "{scenario}: {limits:?}");
+        let filed: Vec<usize> = scans.iter().map(|scan| scan.filed).collect();
+        // The sweeps that find an end keep what they had taken before, be it nothing.
+        assert!(filed[4] >= 40, "{scenario}: {filed:?}: {:?}", scans[4].remarks);
+    }
 }

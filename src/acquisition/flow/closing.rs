@@ -5,6 +5,7 @@ use crate::acquisition::HeadAction;
 use crate::acquisition::control::HeadControl;
 use crate::acquisition::dated::dated_rows;
 use crate::acquisition::scan::{FiledRow, Scan, ScanErrors, image_of};
+use crate::acquisition::stillness::doubt_remark;
 use crate::robot::Demand;
 use crate::time::{Arrival, Span};
 
@@ -60,6 +61,10 @@ impl Flow {
     ) {
         let reached_end = self.stage == Stage::Closing;
         self.stage = Stage::Finished;
+        let before = self.taken.len();
+        self.taken.retain(|taken| !control.doubts(control.cast_time(&taken.line)));
+        let doubted = before - self.taken.len();
+        self.remarks.extend(doubt_remark(doubted));
         let rows = dated_rows(&self.taken, &self.way, self.pan_rad, self.driving, control);
         let unsupported = rows.iter().filter(|row| !row.supported).count();
         let reads = control.tilt.last_reading().is_some();
@@ -85,7 +90,7 @@ impl Flow {
         actions.push(HeadAction::Finished(Box::new(Scan {
             image,
             profile: self.way.profile.name.clone(),
-            complete: reached_end && !filed.is_empty(),
+            complete: reached_end && doubted == 0 && !filed.is_empty(),
             filed: filed.len(),
             gaps: 0,
             repeats: self.repeats,

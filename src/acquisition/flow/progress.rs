@@ -1,9 +1,10 @@
-//! Whether the tilt comes on.
+//! Whether the tilt comes on, and what is left of a sweep when it does not.
 
 use super::{Flow, HELD_UP};
 use crate::acquisition::HeadAction;
 use crate::acquisition::control::HeadControl;
 use crate::acquisition::profile::QuarterDegrees;
+use crate::acquisition::stillness::Unmoved;
 use crate::robot::Demand;
 use crate::scan::LaserLine;
 use crate::time::{Arrival, Span};
@@ -23,6 +24,23 @@ impl Flow {
         self.demanded = QuarterDegrees::nearest(tilt_rad);
         let stay = Demand::Angle(self.demanded.radians());
         actions.push(HeadAction::Send(control.command_tilt(stay, now)));
+    }
+
+    /// The laser shows that the tilt stopped turning some lines ago. What was taken before is kept; where
+    /// the tilt is by now has to be found out first, so that nothing else is taken.
+    pub(super) fn on_unmoved(
+        &mut self,
+        unmoved: &Unmoved,
+        control: &mut HeadControl,
+        now: Arrival,
+        actions: &mut Vec<HeadAction>,
+    ) {
+        let before = self.taken.len();
+        self.taken.retain(|taken| control.cast_time(&taken.line) < unmoved.slows_from);
+        self.remarks.push(unmoved.remark(before - self.taken.len()));
+        // Dated before what is known of the tilt changes.
+        self.finish(control, now, actions);
+        control.rests_at(unmoved.rest_rad, unmoved.towards);
     }
 
     pub(super) fn note_progress(
@@ -75,6 +93,8 @@ impl Flow {
             self.demanded
         ));
         self.finish(control, now, actions);
+        let rest_rad = self.rests_at_rad(control);
+        control.rests_at(rest_rad, self.demanded.radians() - rest_rad);
         true
     }
 }

@@ -1,0 +1,158 @@
+//! Whether the tilt turns as told, and how far it reaches.
+
+use super::HeadControl;
+use crate::acquisition::reach::Reach;
+use crate::acquisition::servo::{HINGE_GAP_RAD, ServoLaw};
+use crate::acquisition::stillness::{Expected, StillWatch, Unmoved};
+use crate::robot::{Demand, HeadPose};
+use crate::time::{Span, Stamp};
+
+/// What stamps of lines and commands may be off by before they are calibrated: a burst and more.
+const TIMES_UNSURE: Span = Span::from_millis(350);
+/// The same afterwards, besides what is left of them: a frame or two, and a stamp's rounding.
+const CALIBRATED_UNSURE: Span = Span::from_millis(120);
+
+/// A tilt whose end was found by the laser is given this long to go where it is told then.
+const UNSURE_FOR: Span = Span::from_millis(3_000);
+
+/// The longest way that a spring is told at once, in radians.
+const LONGEST_JUMP_RAD: f64 = std::f64::consts::FRAC_PI_2;
+
+/// How long an end of the tilt's reach is believed when it is found for the first time.
+const BELIEVED: Span = Span::from_millis(180_000);
+
+impl HeadControl {
+    /// Where the tilt should be by its law alone, or by having been told long ago; `None` where its
+    /// readings tell.
+    pub(super) fn unread_tilt_rad(&self, cast: Stamp) -> Option<f64> {
+        if self.reads_at(cast) {
+            return None;
+        }
+        if self.tilt.law().is_some() {
+            return self.tilt.estimate(cast).map(|estimate| estimate.angle_rad);
+        }
+        let told_long_ago = |&(told, _): &(Stamp, Demand)| cast - told >= self.unknown_settle;
+        let rests = self.tilt.commands().last().is_none_or(told_long_ago);
+        self.tilt.target_rad().filter(|_| rests)
+    }
+
+    /// What is expected of a line cast at `cast`; `None` where nothing is or readings tell.
+    pub(super) fn expected_of(&self, cast: Stamp) -> Option<Expected> {
+        let tilt_rad = self.unread_tilt_rad(cast)?;
+        let sensor_z = self.head.robot_from_device(HeadPose::default()).translation.z;
+        let before = self.still.newest();
+        Some(Expected {
+            tilt_rad,
+            unsure: self.times_unsure(),
+            height_m: self.origin_height_m.map(|origin_m| origin_m + sensor_z),
+            stood: before.is_none_or(|before| self.body.stood(before, cast)),
+        })
+    }
+
+    /// What the law's times may be wrong by, either way.
+    fn times_unsure(&self) -> Span {
+        let sigma = self.timing.sigma;
+        match self.timing.calibrated {
+            true => CALIBRATED_UNSURE + sigma + sigma + sigma,
+            false => TIMES_UNSURE + self.latency,
+        }
+    }
+
+    /// The tilt, if by all that the laser sees it does not turn although it was told to.
+    ///
+    /// A joint slows down before its limit, and while it does the law, which knows of no limit there,
+    /// runs ahead: where the joint surely got to is where the law had it a settling time before, and
+    /// what its times may be wrong by. A
+    /// spring does so all the way of a jump, for its speed is that of the way it has left.
+    pub(in crate::acquisition) fn unmoved(&self) -> Option<Unmoved> {
+        let unmoved = self.still.unmoved(self.latency)?;
+        let slows_from = unmoved.since - self.slowing() - self.times_unsure();
+        let reached = self.tilt.estimate(slows_from).map_or(unmoved.rest_rad, |e| e.angle_rad);
+        let ran_ahead = (unmoved.rest_rad - reached) * unmoved.towards > 0.0;
+        let rest_rad = if ran_ahead { reached } else { unmoved.rest_rad };
+        Some(Unmoved { rest_rad, slows_from, ..unmoved })
+    }
+
+    /// How long before it is seen to rest the tilt may have begun to slow down for an end of its reach.
+    fn slowing(&self) -> Span {
+        // Of a surface seen at a slant, a creep of this in a line's time is still seen.
+        const VISIBLE_RAD: f64 = 0.0003;
+        let slows_s = self.tilt.law().map_or(0.0, |law| {
+            let slowing_rad = match law {
+                ServoLaw::Hinge { gap_rad, .. } => gap_rad.max(HINGE_GAP_RAD),
+                ServoLaw::Spring { .. } => LONGEST_JUMP_RAD,
+            };
+            law.settle_s(slowing_rad, VISIBLE_RAD)
+        });
+        Span::from_seconds(slows_s)
+    }
+
+    /// Whether a line cast at `cast` is not believed: the laser saw no turn then, or soon after.
+    pub(in crate::acquisition) fn doubts(&self, cast: Stamp) -> bool {
+        self.still.doubts(cast, self.slowing())
+    }
+
+    /// Until then it is unsure where the tilt is, an end of its reach having been found by the laser.
+    pub(in crate::acquisition) fn unsure_until(&self) -> Option<Stamp> {
+        self.unsure_until
+    }
+
+    /// What the laser sees of the tilt's motion.
+    pub(in crate::acquisition) fn still(&self) -> &StillWatch {
+        &self.still
+    }
+
+    /// What the laser has seen so far of the tilt's motion is no longer held against it.
+    pub(in crate::acquisition) fn watch_anew(&mut self) {
+        let expected = self.still.newest().and_then(|cast| self.unread_tilt_rad(cast));
+        match expected {
+            Some(tilt_rad) => self.still.restart_at(tilt_rad),
+            None => self.still.forget(),
+        }
+    }
+
+    /// The tilt was found to go no farther than `rest_rad` when it was told to turn to the side of the
+    /// sign `towards`: from now on it is not asked to. One that goes no farther to either side is stuck.
+    pub(in crate::acquisition) fn rests_at(&mut self, rest_rad: f64, towards: f64) {
+        let read = self.clock().latest().is_some_and(|latest| self.reads_at(latest));
+        let rest_rad = match read {
+            true => rest_rad,
+            false => self.reach.no_less_than_earlier(rest_rad, towards),
+        };
+        let reach = self.reach.ending_at(rest_rad, towards);
+        let believed = self.ended.map_or(BELIEVED, |(_, before)| before);
+        self.ended = self.clock().latest().map(|now| (now, believed));
+        self.unsure_until = self.clock().latest().filter(|_| !read).map(|now| now + UNSURE_FOR);
+        self.set_reach(reach, Some(rest_rad).filter(|_| !read));
+    }
+
+    /// An end that was found some minutes ago may have been a moment's: the next sweep tries once more
+    /// what the server told. Each time that fails it is believed twice as long.
+    pub(in crate::acquisition) fn try_again(&mut self) {
+        let Some((found, believed)) = self.ended.filter(|_| self.reach.is_narrowed()) else {
+            return;
+        };
+        let is_old = self.clock().latest().is_some_and(|now| now - found > believed);
+        if is_old && self.reach.stuck_rad().is_none() {
+            self.ended = Some((found, believed + believed));
+            self.set_reach(self.reach.tried_again(), None);
+        }
+    }
+
+    pub(super) fn set_reach(&mut self, reach: Reach, rests_rad: Option<f64>) {
+        self.reach = reach;
+        self.head.limit_tilt(reach.limits());
+        self.tilt.limit(reach.limits(), rests_rad);
+        self.watch_anew();
+    }
+
+    /// What the tilt reaches.
+    pub fn reach(&self) -> &Reach {
+        &self.reach
+    }
+
+    /// What the tilt reaches, if that has been found to be something else since the last call.
+    pub(in crate::acquisition) fn new_reach(&mut self) -> Option<Reach> {
+        self.reach.take_news()
+    }
+}
