@@ -1,12 +1,12 @@
 //! Whether a map knows how wrong it is: keyframes against the truth. Nothing here reaches an agent.
 
-use super::evaluate::{Patch, true_surface};
-use super::keyframes::{Keyframe, Sighting};
+use super::evaluate::{UnderPatch, true_surface};
+use super::keyframes::Keyframe;
 use super::score::{at, settled_s};
 use super::tum::TimedPose;
 use crate::mapping::perturbation::pose_error;
 use crate::sim::World;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::Isometry3;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -70,19 +70,20 @@ pub fn associations(
     world: &World,
 ) -> Option<Associations> {
     let pose_at = true_poses(truth)?;
-    let mut surfaces: BTreeMap<u32, Vec<TrueSurface>> = BTreeMap::new();
+    let mut surfaces: BTreeMap<u32, Vec<UnderPatch>> = BTreeMap::new();
     let mut score = Associations::default();
     for keyframe in keyframes {
         let Some(pose) = pose_at(keyframe) else { continue };
         for sighting in &keyframe.sightings {
-            match TrueSurface::under(sighting, &pose, world) {
+            match true_surface(&sighting.patch, world, &pose) {
                 Some(surface) => surfaces.entry(sighting.landmark).or_default().push(surface),
                 None => score.unknown += 1,
             }
         }
     }
     for seen in surfaces.values() {
-        let agreeing = |one: &TrueSurface| seen.iter().filter(|other| one.is_like(other)).count();
+        let agreeing =
+            |one: &UnderPatch| seen.iter().filter(|other| same_plane(one, other)).count();
         let right = seen.iter().map(agreeing).max().unwrap_or(0);
         score.right += right;
         score.wrong += seen.len() - right;
@@ -96,40 +97,20 @@ fn true_poses(truth: &[TimedPose]) -> Option<impl Fn(&Keyframe) -> Option<Isomet
     Some(move |keyframe: &Keyframe| at(truth, keyframe.time_s?.max(from_s)))
 }
 
-/// The plane of the world's surface that a sighting lies on, at the sighting's place.
-struct TrueSurface {
-    point: Point3<f64>,
-    normal: Vector3<f64>,
-}
-
-impl TrueSurface {
-    fn under(
-        sighting: &Sighting,
-        world_from_robot: &Isometry3<f64>,
-        world: &World,
-    ) -> Option<Self> {
-        let patch = Patch {
-            normal: sighting.normal,
-            centroid: sighting.centroid,
-            hull: sighting.hull.clone(),
-        };
-        let found = true_surface(&patch, world, world_from_robot)?;
-        Some(Self { point: found.point, normal: found.normal })
-    }
-
-    fn is_like(&self, other: &Self) -> bool {
-        let apart = other.point - self.point;
-        let off_m = apart.dot(&self.normal).abs().min(apart.dot(&other.normal).abs());
-        self.normal.angle(&other.normal) <= SAME_PLANE_RAD && off_m <= SAME_PLANE_M
-    }
+/// Whether two true surfaces are of one plane.
+fn same_plane(a: &UnderPatch, b: &UnderPatch) -> bool {
+    let apart = b.point - a.point;
+    let off_m = apart.dot(&a.normal).abs().min(apart.dot(&b.normal).abs());
+    a.normal.angle(&b.normal) <= SAME_PLANE_RAD && off_m <= SAME_PLANE_M
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::export::evaluate::Patch;
+    use crate::export::keyframes::Sighting;
     use crate::sim::MapFile;
-    use nalgebra::Matrix6;
-    use std::collections::BTreeMap;
+    use nalgebra::{Matrix6, Point3, Vector3};
 
     fn truth() -> Vec<TimedPose> {
         let pose = |i: u32| Isometry3::translation(0.1 * f64::from(i), 0.0, 0.2);
@@ -168,11 +149,13 @@ mod tests {
         // A patch of floor ahead of the robot, whose origin is 0.2 m above the lower floor.
         let floor = |x: f64, z: f64| Sighting {
             landmark: 3,
-            normal: Vector3::z(),
-            centroid: Point3::new(x, 0.0, z),
-            hull: [(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)]
-                .map(|(dx, dy)| Point3::new(x + dx, dy, z))
-                .to_vec(),
+            patch: Patch {
+                normal: Vector3::z(),
+                centroid: Point3::new(x, 0.0, z),
+                hull: [(-0.2, -0.2), (0.2, -0.2), (0.2, 0.2), (-0.2, 0.2)]
+                    .map(|(dx, dy)| Point3::new(x + dx, dy, z))
+                    .to_vec(),
+            },
         };
         let seen = [
             keyframe(2.0, 0.0, vec![floor(0.5, -0.2)]),

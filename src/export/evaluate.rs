@@ -8,7 +8,7 @@ use super::score::{at, settled_s};
 use super::tum::TimedPose;
 use crate::sim::World;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Length of true path over which relative pose errors are taken, in metres.
 const RPE_OVER_M: f64 = 1.0;
@@ -21,14 +21,14 @@ const SAME_SURFACE_DEG: f64 = 20.0;
 /// Hull corners are looked at this far towards the centroid: the rim of a patch may hang over.
 const INSET: f64 = 0.4;
 
-/// A planar patch as `surfaces.json` has it.
-#[derive(Clone, Debug, PartialEq)]
+/// A planar patch: in the map frame as `surfaces.json` has it, in the robot frame in `keyframes.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Patch {
-    /// Unit normal in the map frame, towards the free side.
+    /// Unit normal towards the free side.
     pub normal: Vector3<f64>,
-    /// Centroid in the map frame.
+    /// Centroid.
     pub centroid: Point3<f64>,
-    /// Corners in the map frame.
+    /// Corners of the hull.
     pub hull: Vec<Point3<f64>>,
 }
 

@@ -1,10 +1,11 @@
 //! `keyframes.json`: where the robot stood when it looked, how sure it is of that, and which landmark it
 //! took each plane for.
 
+use super::evaluate::Patch;
 use crate::mapping::Mapper;
 use crate::mission::Belief;
 use crate::time::Stamp;
-use nalgebra::{Isometry3, Matrix6, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix6, Point3};
 use serde::{Deserialize, Serialize};
 
 /// One scan that went into the map.
@@ -26,12 +27,9 @@ pub struct Keyframe {
 pub struct Sighting {
     /// `id` of the landmark in `surfaces.json` that it was taken for.
     pub landmark: u32,
-    /// Unit normal towards the free side.
-    pub normal: Vector3<f64>,
-    /// Centre of gravity of its points.
-    pub centroid: Point3<f64>,
-    /// Corners of its hull.
-    pub hull: Vec<Point3<f64>>,
+    /// The plane, in the robot frame.
+    #[serde(flatten)]
+    pub patch: Patch,
 }
 
 /// The keyframes of a belief, in order.
@@ -51,9 +49,11 @@ fn sightings(mapper: &Mapper, number: usize) -> Vec<Sighting> {
     planes
         .map(|(landmark, seen)| Sighting {
             landmark: landmark.0,
-            normal: seen.robot_from_plane.rotation * Vector3::z(),
-            centroid: Point3::from(seen.robot_from_plane.translation.vector),
-            hull: seen.hull_points().collect(),
+            patch: Patch {
+                normal: seen.normal(),
+                centroid: Point3::from(seen.robot_from_plane.translation.vector),
+                hull: seen.hull_points().collect(),
+            },
         })
         .collect()
 }
