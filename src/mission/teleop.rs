@@ -37,6 +37,8 @@ impl Running {
                 self.stop(desk);
                 if *mode == Mode::Teleop {
                     self.take_over(desk);
+                    // A robot that stood already keeps the path it came by; the operator follows none.
+                    self.pilot.set_path(Path::default());
                 }
             }
             OperatorEvent::ScanNow => {
