@@ -4,11 +4,13 @@ use super::curves::gate;
 use super::{Arrival, Attitude, Estimate, Keyframe, Prepared, Roots, Sighting};
 use crate::mapping::association::{Assignment, AssociationConfig, Verdict};
 use crate::mapping::graph::{Factor, FactorId, Value};
+use crate::mapping::innovation::Innovation;
 use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::observation::Observation;
 use crate::mapping::odometry::predicted_covariance;
+use crate::mapping::perturbation::{perturbed_pose, pose_error};
 use crate::mapping::report::{Addition, Association, RefusalReason, UpdateReport};
-use nalgebra::Matrix3x4;
+use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
 
 /// Most planes that one scan may bring in, the largest first: all of a scan's planes are tied to one
 /// pose, and what a thousand slivers add does not pay for a joint covariance of three thousand rows.
@@ -35,7 +37,12 @@ impl Estimate {
         let nis = question.joint_nis(&prepared.belief, &assignment.belief, &verdicts);
 
         let mut report = UpdateReport::begun(self.keyframes.len(), nis);
-        self.add_keyframe(arrival, prepared, assignment);
+        let pairs = verdicts.iter().enumerate().filter_map(|(index, verdict)| match *verdict {
+            Verdict::Seen(plane, _) => Some((&observations[index], landmarks[plane])),
+            _ => None,
+        });
+        let guess = beside_landmarks(&assignment.belief.world_from_robot, pairs);
+        self.add_keyframe(arrival, prepared, assignment, guess);
         for (index, verdict) in verdicts.iter().enumerate() {
             let observation = &observations[index];
             let common = prepared.common[index];
@@ -70,8 +77,8 @@ impl Estimate {
         arrival: &Arrival<'_>,
         prepared: &Prepared,
         assignment: &Assignment,
+        guess: Isometry3<f64>,
     ) {
-        let guess = assignment.belief.world_from_robot;
         let pose = self.graph.add_variable(Value::Pose(guess));
         let covariance = prepared.motion_covariance;
         self.graph.add_factor(match self.keyframes.last() {
@@ -221,6 +228,42 @@ impl Estimate {
             roots.sightings.retain(|sighting| *sighting != (number, index));
         }
     }
+}
+
+/// Rounds in which a guess is improved, and the standard deviations (metres, radians) with which it holds
+/// where no landmark speaks.
+const GUESS_ROUNDS: usize = 3;
+const GUESS_SIGMAS: (f64, f64) = (0.5, 0.1);
+
+/// The pose from which landmarks, where they are in the map now, look as observed. The graph begins
+/// there: begun where the robot is beside the last keyframe, all its neighbours would have to be
+/// linearised anew, and until then a turn of the map as a whole would look as if it were measured.
+fn beside_landmarks<'a>(
+    guess: &Isometry3<f64>,
+    pairs: impl Iterator<Item = (&'a Observation, &'a Landmark)> + Clone,
+) -> Isometry3<f64> {
+    let (sigma_m, sigma_rad) = GUESS_SIGMAS;
+    let held = Matrix6::from_diagonal(&Vector6::from_fn(|i, _| {
+        if i < 3 { sigma_m.powi(-2) } else { sigma_rad.powi(-2) }
+    }));
+    let mut pose = *guess;
+    for _ in 0..GUESS_ROUNDS {
+        let mut information = held;
+        let mut gradient = held * pose_error(guess, &pose);
+        for (seen, landmark) in pairs.clone() {
+            let Innovation { h, h_x, h_z, .. } =
+                Innovation::new(&landmark.world_from_plane, &pose, &seen.robot_from_plane);
+            let noise: Matrix3<f64> = h_z * seen.covariance * h_z.transpose();
+            let Some(weight) = noise.try_inverse() else { continue };
+            information += h_x.transpose() * weight * h_x;
+            gradient += h_x.transpose() * weight * h;
+        }
+        let Some(step) = information.cholesky().map(|root| root.solve(&gradient)) else {
+            return *guess;
+        };
+        pose = perturbed_pose(&pose, &-step);
+    }
+    pose
 }
 
 /// The observations beyond the [`MOST_PLANES`] of most points.

@@ -59,11 +59,9 @@ pub enum Value {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GraphConfig {
-    /// Shift from the linearisation point that makes a variable be linearised again, in metres.
-    /// Valid: above 0.
-    pub relinearise_m: f64,
-    /// The same for rotations, in radians. Valid: above 0.
-    pub relinearise_rad: f64,
+    /// What a measurement may be wrong by, in metres, because its variables have moved away from where
+    /// it was linearised; beyond it they are linearised again. Valid: above 0.
+    pub nonlinear_m: f64,
     /// A correction smaller than this (metres or radians) is not carried further down the tree.
     /// Valid: 0 or more.
     pub negligible: f64,
@@ -73,7 +71,7 @@ pub struct GraphConfig {
 
 impl Default for GraphConfig {
     fn default() -> Self {
-        Self { relinearise_m: 0.01, relinearise_rad: 0.001, negligible: 2e-5, max_rounds: 6 }
+        Self { nonlinear_m: 5e-5, negligible: 2e-5, max_rounds: 6 }
     }
 }
 
@@ -83,6 +81,9 @@ struct Variable {
     at: Value,
     /// Solution relative to it.
     delta: [f64; 6],
+    /// Of a plane: how far from its frame's origin it was seen, in metres, at least 1. A tilt moves it
+    /// by so much there.
+    reach_m: f64,
     /// Clique that eliminates it.
     clique: Option<usize>,
     /// Factors that involve it, in the order of their ids.
@@ -150,6 +151,7 @@ impl Graph {
         self.variables.push(Variable {
             at: guess,
             delta: [0.0; 6],
+            reach_m: 1.0,
             clique: None,
             factors: Vec::new(),
         });
@@ -164,6 +166,12 @@ impl Graph {
         for key in factor.keys() {
             self.variables[key.0 as usize].factors.push(id);
             self.stale.insert(key);
+        }
+        if let Factor::Plane { pose, plane, robot_from_plane, .. } = &factor {
+            let seen_at = (self.pose(*pose) * robot_from_plane).translation.vector;
+            let reach_m = (seen_at - self.plane(*plane).translation.vector).norm();
+            let variable = &mut self.variables[plane.0 as usize];
+            variable.reach_m = variable.reach_m.max(reach_m);
         }
         self.factors.push(Some(Held { factor, linear }));
         id

@@ -11,6 +11,12 @@ use std::collections::{BTreeMap, BTreeSet};
 /// any prior.
 const UNKNOWN: f64 = 1e-8;
 
+/// Part of the second order at which one variable is linearised again that takes others along with it:
+/// where neighbours are linearised at turns that differ, a turn of the whole looks as if it were measured.
+const WITH_THEM: f64 = 0.01;
+/// How far away a scan's surfaces lie as a rule, in metres.
+const RAY_M: f64 = 5.0;
+
 /// Variables eliminated together, with what they say about one another and about the rest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Clique {
@@ -34,10 +40,10 @@ impl Graph {
             let stale = std::mem::take(&mut self.stale);
             let roots = self.renew(&stale, &mut done);
             let changed = self.solve_down(&roots);
-            for key in &changed {
-                if self.moved_too_far(*key) {
-                    self.stale.insert(*key);
-                }
+            if changed.iter().any(|key| self.second_order_m(*key) > self.config.nonlinear_m) {
+                let all = (0..self.variables.len() as u32).map(Key);
+                let share = WITH_THEM * self.config.nonlinear_m;
+                self.stale = all.filter(|key| self.second_order_m(*key) > share).collect();
             }
             done.changed.extend(changed);
             if done.rounds < self.config.max_rounds {
@@ -49,18 +55,21 @@ impl Graph {
         done
     }
 
-    fn moved_too_far(&self, key: Key) -> bool {
+    /// What the second order of a variable's step amounts to, in metres. A shift alone does not: a measurement
+    /// depends on its variables' places by their difference only. A turn bends what is seen at the end
+    /// of a ray, and it turns the directions along which the shift was reckoned.
+    fn second_order_m(&self, key: Key) -> f64 {
         let variable = &self.variables[key.0 as usize];
         let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();
         let delta = variable.delta();
-        let (shift, turn) = match variable.at {
-            Value::Pose(_) => (norm(&delta[..3]), norm(&delta[3..])),
-            Value::Plane(_) => (delta[0].abs(), norm(&delta[1..])),
-            Value::Axis(_) => (norm(&delta[..2]), norm(&delta[2..])),
+        let (shift_m, turn_rad, arm_m) = match variable.at {
+            Value::Pose(_) => (norm(&delta[..3]), norm(&delta[3..]), RAY_M),
+            Value::Plane(_) => (delta[0].abs(), norm(&delta[1..]), variable.reach_m),
+            Value::Axis(_) => (norm(&delta[..2]), norm(&delta[2..]), RAY_M),
             // Centres enter linearly, and common errors almost: in units of sigma they never matter.
-            Value::Centre(_) | Value::Errors(_) => (0.0, 0.0),
+            Value::Centre(_) | Value::Errors(_) => (0.0, 0.0, 0.0),
         };
-        shift > self.config.relinearise_m || turn > self.config.relinearise_rad
+        turn_rad * (shift_m + 0.5 * turn_rad * arm_m)
     }
 
     /// Moves the linearisation point of every stale variable to its solution and renews the factors
@@ -362,8 +371,13 @@ impl Graph {
             let variable = &mut self.variables[key.0 as usize];
             let dimension = variable.at.dimension();
             let new = &solution.as_slice()[at..at + dimension];
+            // A plane's tilt counts by what it moves the plane where that was seen.
+            let tilt = if matches!(variable.at, Value::Plane(_)) { variable.reach_m } else { 1.0 };
             let old = &mut variable.delta[..dimension];
-            if old.iter().zip(new).any(|(old, new)| (old - new).abs() > negligible) {
+            let counts = |(i, (old, new)): (usize, (&f64, &f64))| {
+                (old - new).abs() * if i == 0 { 1.0 } else { tilt } > negligible
+            };
+            if old.iter().zip(new).enumerate().any(counts) {
                 changed.insert(key);
             }
             old.copy_from_slice(new);
