@@ -9,8 +9,7 @@
 use super::belief::{Belief, PairRows};
 use super::landmark::{Landmark, carried_hull, hulls_meet};
 use super::observation::Observation;
-use super::perturbation::pose_error;
-use nalgebra::{Isometry3, Matrix3x4, Vector3};
+use nalgebra::{Matrix3x4, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Settings of data association.
@@ -94,14 +93,59 @@ impl Assignment {
         }
     }
 
-    /// Whether it puts the robot well away from another pose.
-    pub(super) fn apart_from(&self, world_from_robot: &Isometry3<f64>) -> bool {
-        let gap = pose_error(&self.belief.world_from_robot, world_from_robot);
-        gap.fixed_rows::<3>(0).norm() > APART_M
-            || gap[2].abs() > APART_UP_M
-            || gap.fixed_rows::<3>(3).norm() > APART_RAD
+    /// How it moves the robot beside the planes that it takes for seen.
+    pub(super) fn shift_from(&self, predicted: &Belief) -> Shift {
+        Shift::between(predicted, &self.belief, self.pairs.iter().map(|pair| pair.1))
+    }
+
+    /// Whether it puts the robot well away from where another does, beside the planes that either takes
+    /// for seen.
+    fn apart_from(&self, other: &Self) -> bool {
+        let planes = self.pairs.iter().chain(&other.pairs).map(|pair| pair.1);
+        let shift = Shift::between(&self.belief, &other.belief, planes);
+        shift.exceeds(APART_M, APART_UP_M, APART_RAD)
     }
 }
+
+/// How far apart two beliefs have the robot beside planes of both: not in the world, for what a loop
+/// closes may move the one or the other there.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Shift {
+    /// Greatest difference of the distances to planes that stand more or less upright, in metres.
+    pub(super) level_m: f64,
+    /// The same for those that lie: floors and ceilings.
+    pub(super) up_m: f64,
+    /// Greatest angle between the directions of a plane's normal, seen by the robot.
+    pub(super) turn_rad: f64,
+}
+
+impl Shift {
+    fn between(a: &Belief, b: &Belief, planes: impl Iterator<Item = usize>) -> Self {
+        let mut shift = Self::default();
+        for plane in planes {
+            let seen = |belief: &Belief| {
+                let plane_from_robot = belief.planes[plane].inverse() * belief.world_from_robot;
+                let normal = plane_from_robot.rotation.inverse() * Vector3::z();
+                (plane_from_robot.translation.z, normal)
+            };
+            let ((distance, normal), (other_distance, other_normal)) = (seen(a), seen(b));
+            let gap = (distance - other_distance).abs();
+            let lies = (a.planes[plane].rotation * Vector3::z()).z.abs() > LYING_COSINE;
+            let greatest = if lies { &mut shift.up_m } else { &mut shift.level_m };
+            *greatest = greatest.max(gap);
+            shift.turn_rad = shift.turn_rad.max(normal.angle(&other_normal));
+        }
+        shift
+    }
+
+    /// Whether any part is larger than it may be.
+    pub(super) fn exceeds(&self, level_m: f64, up_m: f64, turn_rad: f64) -> bool {
+        self.level_m > level_m || self.up_m > up_m || self.turn_rad > turn_rad
+    }
+}
+
+/// Cosine of a normal's angle to the vertical above which a plane lies.
+const LYING_COSINE: f64 = 0.8;
 
 /// What an observation was found to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -395,8 +439,7 @@ impl Search<'_> {
     /// Keeps a set when it is the best of its place.
     fn file(&mut self, set: Assignment) {
         self.most = self.most.max(set.pairs.len());
-        let pose = set.belief.world_from_robot;
-        match self.found.iter_mut().find(|known| !known.apart_from(&pose)) {
+        match self.found.iter_mut().find(|known| !known.apart_from(&set)) {
             Some(known) if known.score >= set.score => {}
             Some(known) => *known = set,
             None => self.found.push(set),

@@ -12,6 +12,7 @@ use super::report::{MovedKeyframe, UpdateReport};
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Settings of the full mode.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -149,15 +150,11 @@ impl Full {
         let config = &self.config.association;
         let Hypothesis { estimate, log_weight, .. } = &self.hypotheses[parent];
         let mut plain = estimate.prepare(arrival, config, 1.0);
-        let predicted = plain.belief.world_from_robot;
         let found = &plain.assignments[0];
         let pairs = found.pairs.len();
         let expected = arrival.scan.observations.len().min(config.anchors) / 3;
         let few = !estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS);
-        let corrected = &found.belief.world_from_robot;
-        let lift_m = corrected.translation.z - predicted.translation.z;
-        let large =
-            moves_far(&predicted, corrected, LARGE_M, LARGE_RAD) || lift_m.abs() > LARGE_UP_M;
+        let large = found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD);
         let place = prepared.len();
         let plainly = !few && !large && plain.assignments.len() == 1 && self.hypotheses.len() == 1;
         if plainly {
@@ -174,7 +171,9 @@ impl Full {
                 prepared: place,
                 assignment: found.clone(),
                 log_prior,
+                far: found.shift_from(&prepared.belief).exceeds(FAR_M, FAR_M, FAR_RAD),
                 left_out: estimate.left_out(arrival, config, prepared, found),
+                frames: prepared.frames(found),
             };
             prepared.assignments.iter().map(claim).collect()
         };
@@ -184,7 +183,9 @@ impl Full {
             prepared: place,
             assignment: Assignment::none(&plain.belief),
             log_prior: LOG_UNRECOGNISED,
+            far: false,
             left_out: Vec::new(),
+            frames: BTreeMap::new(),
         });
         prepared.push(plain);
         if few {
@@ -194,7 +195,7 @@ impl Full {
             claims.extend(options(&wide, place + 1, LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
         }
-        let judged = judge(claims, estimate, &predicted, arrival.scan);
+        let judged = judge(claims, estimate, arrival.scan);
         branches.extend(judged.into_iter().map(|(prepared, assignment, score)| Branch {
             parent,
             prepared,
@@ -347,8 +348,12 @@ struct Claim {
     assignment: Assignment,
     /// Logarithm of its prior.
     log_prior: f64,
+    /// Whether it moves the robot far beside what it takes for seen.
+    far: bool,
     /// See [`Estimate::left_out`].
     left_out: Vec<(usize, LandmarkId)>,
+    /// See [`Prepared::frames`].
+    frames: BTreeMap<LandmarkId, Isometry3<f64>>,
 }
 
 /// Scores of explanations with what the map says against them, and without a lead for what is far from
@@ -356,7 +361,6 @@ struct Claim {
 fn judge(
     claims: Vec<Claim>,
     estimate: &Estimate,
-    predicted: &Isometry3<f64>,
     scan: &ScanObservations,
 ) -> Vec<(usize, Assignment, f64)> {
     struct Judged {
@@ -368,13 +372,12 @@ fn judge(
     }
     let judged: Vec<Judged> = claims
         .into_iter()
-        .map(|Claim { prepared, assignment, log_prior, left_out }| {
+        .map(|Claim { prepared, assignment, log_prior, far, left_out, frames }| {
             let pose = assignment.belief.world_from_robot;
             let covariance = assignment.belief.pose_covariance();
-            let against = estimate.contradiction(&pose, &covariance, scan, &left_out);
+            let against = estimate.contradiction(&pose, &covariance, scan, &left_out, &frames);
             let refuted = against.share();
             let score = assignment.support + log_prior + against.footing - weight_of(refuted);
-            let far = moves_far(predicted, &pose, FAR_M, FAR_RAD);
             Judged { prepared, assignment, score, refuted, far }
         })
         .collect();

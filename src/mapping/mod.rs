@@ -9,6 +9,7 @@
 //! perturbations `[δt; δr]` in the world frame: the true pose has translation `t + δt` and rotation
 //! `exp(δr) R`.
 
+mod anchor;
 mod association;
 mod attitude;
 mod belief;

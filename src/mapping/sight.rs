@@ -7,6 +7,7 @@ use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Most points of one observation that are looked at.
@@ -62,6 +63,8 @@ impl Estimate {
     /// over cells of it that were hit they cannot be anything else: two surfaces that close were not
     /// both seen square on. What the pose is uncertain by does not excuse that: it is the very question.
     ///
+    /// `frames` are those of landmarks that the pose is believed together with.
+    ///
     /// Costs samples × landmarks about the scan; asked only where an association is in doubt.
     pub(super) fn contradiction(
         &self,
@@ -69,6 +72,7 @@ impl Estimate {
         covariance: &Matrix6<f64>,
         scan: &ScanObservations,
         left_out: &[(usize, LandmarkId)],
+        frames: &BTreeMap<LandmarkId, Isometry3<f64>>,
     ) -> Contradiction {
         let world_from_scan = world_from_robot * scan.robot_from_scan;
         let eye = Point3::from(world_from_scan.translation.vector);
@@ -79,7 +83,10 @@ impl Estimate {
         let walls: Vec<Wall<'_>> = self
             // A wall that the points are said to stand before lies beyond all of them.
             .landmarks_about(around, DOUBLED_M)
-            .filter_map(|l| Wall::facing(l, &eye, &position_covariance))
+            .filter_map(|landmark| {
+                let frame = frames.get(&landmark.id).unwrap_or(&landmark.world_from_plane);
+                Wall::facing(landmark, *frame, &eye, &position_covariance)
+            })
             .collect();
         let mut found = Contradiction {
             footing: footing(&walls, world_from_robot, covariance, &scan.contacts),
@@ -126,7 +133,7 @@ fn footing(
             let hidden = walls.iter().any(|w| w.refutes(&point, &up, w.ray_margin_m(&point)));
             return if hidden { OFF_THE_FLOOR.ln() } else { 0.0 };
         };
-        let normal = wall.landmark.normal();
+        let normal = wall.normal;
         let turn = arm.cross(&normal);
         let row = Vector6::new(normal.x, normal.y, normal.z, turn.x, turn.y, turn.z);
         let variance = WHEEL_SIGMA_M * WHEEL_SIGMA_M + row.dot(&(covariance * row)).max(0.0);
@@ -139,6 +146,7 @@ fn footing(
 /// A landmark as seen from a point in front of it.
 struct Wall<'a> {
     landmark: &'a Landmark,
+    normal: Vector3<f64>,
     plane_from_world: Isometry3<f64>,
     eye: Point3<f64>,
     /// Standard deviation of the robot's position along the normal.
@@ -148,15 +156,17 @@ struct Wall<'a> {
 impl<'a> Wall<'a> {
     fn facing(
         landmark: &'a Landmark,
+        world_from_plane: Isometry3<f64>,
         eye: &Point3<f64>,
         position_covariance: &Matrix3<f64>,
     ) -> Option<Self> {
-        let normal = landmark.normal();
+        let normal = world_from_plane.rotation * Vector3::z();
         let sigma_m = normal.dot(&(position_covariance * normal)).max(0.0).sqrt();
-        let plane_from_world = landmark.world_from_plane.inverse();
+        let plane_from_world = world_from_plane.inverse();
         let eye = plane_from_world * eye;
         (eye.z > BEHIND_M && !landmark.mask.is_empty()).then_some(Self {
             landmark,
+            normal,
             plane_from_world,
             eye,
             sigma_m,
@@ -168,7 +178,7 @@ impl<'a> Wall<'a> {
     fn refutes(&self, point: &Point3<f64>, normal: &Vector3<f64>, margin_m: f64) -> bool {
         let target = self.plane_from_world * point;
         if target.z > margin_m && target.z < DOUBLED_M {
-            let parallel = self.landmark.normal().dot(normal) > PARALLEL_COSINE;
+            let parallel = self.normal.dot(normal) > PARALLEL_COSINE;
             return parallel && self.solid_at(&target);
         }
         let ray = target - self.eye;
@@ -187,7 +197,7 @@ impl<'a> Wall<'a> {
     /// landmark itself; below it, the floor is where the sensor would see the point through it.
     fn height_of(&self, point: &Point3<f64>, up: &Vector3<f64>) -> Option<(f64, &Self)> {
         let target = self.plane_from_world * point;
-        if target.z.abs() > DOUBLED_M || self.landmark.normal().dot(up) < PARALLEL_COSINE {
+        if target.z.abs() > DOUBLED_M || self.normal.dot(up) < PARALLEL_COSINE {
             return None;
         }
         let ray = target - self.eye;
@@ -231,7 +241,8 @@ mod tests {
         let floor = floor();
         let covariance = Matrix6::identity() * (sigma_m * sigma_m);
         let position = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let wall = Wall::facing(&floor, &Point3::new(0.0, 0.0, 0.6), &position);
+        let wall =
+            Wall::facing(&floor, Isometry3::identity(), &Point3::new(0.0, 0.0, 0.6), &position);
         let contacts = [(0.2, 0.2), (0.2, -0.2), (-0.2, 0.2), (-0.2, -0.2)]
             .map(|(x, y)| Point3::new(x, y, 0.0));
         let pose = Isometry3::translation(0.0, 0.0, height_m);

@@ -1,6 +1,7 @@
 //! Prediction, and which landmarks a scan may show.
 
 use super::{Arrival, Estimate, Prepared};
+use crate::mapping::anchor::beside;
 use crate::mapping::association::{Assignment, AssociationConfig, Question};
 use crate::mapping::attitude::attitude_rows;
 use crate::mapping::belief::Belief;
@@ -11,6 +12,7 @@ use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::scan_errors::{ScanObservations, common_error_jacobian};
 use nalgebra::{DMatrix, Isometry3, Matrix3x4, Matrix6, Vector3, Vector6};
+use std::collections::BTreeMap;
 
 /// Most landmarks that one scan is compared with; those seen last come first.
 const MOST_CANDIDATES: usize = 120;
@@ -24,6 +26,14 @@ const MOST_OPEN_M: f64 = 20.0;
 const MOST_OPEN_RAD: f64 = 0.6;
 
 impl Prepared {
+    /// Where an assignment has the landmarks that it was searched among.
+    pub(in crate::mapping) fn frames(
+        &self,
+        assignment: &Assignment,
+    ) -> BTreeMap<LandmarkId, Isometry3<f64>> {
+        self.planes.iter().copied().zip(assignment.belief.planes.iter().copied()).collect()
+    }
+
     /// The question which observation is which of `landmarks`, those named by the planes.
     pub(super) fn question<'a>(
         &'a self,
@@ -160,7 +170,7 @@ impl Estimate {
         (all, positions)
     }
 
-    /// Joint belief over the predicted pose and the candidates.
+    /// Joint belief over the predicted pose and the candidates, beside the last keyframe.
     fn belief(
         &self,
         planes: &[LandmarkId],
@@ -169,23 +179,28 @@ impl Estimate {
         motion_covariance: &Matrix6<f64>,
     ) -> Belief {
         let before = self.last_pose();
-        let mut joint = match self.keyframes.last() {
-            Some(keyframe) => {
-                let mut keys = vec![keyframe.pose];
-                keys.extend(planes.iter().map(|id| self.roots[id].key));
-                self.graph.covariance(&keys)
-            }
-            None => DMatrix::from_column_slice(6, 6, self.start_covariance.as_slice()),
+        let frames: Vec<Isometry3<f64>> =
+            self.named(planes).iter().map(|landmark| landmark.world_from_plane).collect();
+        let Some(last) = self.keyframes.last() else {
+            let f_x = first_jacobian(&before, predicted);
+            let f_u = second_jacobian(&before);
+            let pose = f_x * self.start_covariance * f_x.transpose()
+                + f_u * motion_covariance * f_u.transpose();
+            let pose = DMatrix::from_column_slice(6, 6, pose.as_slice());
+            return Belief::new(*predicted, frames, &pose, arrival.scan.errors.any());
         };
+        let mut keys = vec![last.pose, last.pose];
+        keys.extend(planes.iter().map(|id| self.roots[id].key));
+        let mut joint = self.graph.covariance(&keys);
         let f_x = first_jacobian(&before, predicted);
         let f_u = second_jacobian(&before);
-        let rows = f_x * joint.fixed_rows::<6>(0);
-        joint.fixed_rows_mut::<6>(0).copy_from(&rows);
-        let columns = joint.fixed_columns::<6>(0) * f_x.transpose();
-        joint.fixed_columns_mut::<6>(0).copy_from(&columns);
-        let mut on_pose = joint.fixed_view_mut::<6, 6>(0, 0);
+        let rows = f_x * joint.fixed_rows::<6>(6);
+        joint.fixed_rows_mut::<6>(6).copy_from(&rows);
+        let columns = joint.fixed_columns::<6>(6) * f_x.transpose();
+        joint.fixed_columns_mut::<6>(6).copy_from(&columns);
+        let mut on_pose = joint.fixed_view_mut::<6, 6>(6, 6);
         on_pose += f_u * motion_covariance * f_u.transpose();
-        let frames = self.named(planes).iter().map(|landmark| landmark.world_from_plane).collect();
+        let joint = beside(&before, predicted, &frames, &joint);
         Belief::new(*predicted, frames, &joint, arrival.scan.errors.any())
     }
 }
