@@ -1,6 +1,6 @@
 //! Which observation is which landmark: joint compatibility by branch and bound.
 //!
-//! The largest observations are decided together: a set of pairs is compatible when each fits after
+//! The most telling observations are decided together: a set of pairs is compatible when each fits after
 //! the others have corrected the pose (Neira and Tardós, "Data association in stochastic mapping using
 //! the joint compatibility test", 2001). The set with most pairs wins; sets of equal size that put the
 //! robot elsewhere are handed back beside it. With the pose so corrected the rest is decided one by
@@ -9,7 +9,7 @@
 use super::belief::{Belief, PairRows};
 use super::landmark::{Landmark, carried_hull, hulls_meet};
 use super::observation::Observation;
-use nalgebra::{Matrix3x4, Vector3};
+use nalgebra::{Matrix3, Matrix3x4, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Settings of data association.
@@ -234,7 +234,7 @@ impl Question<'_> {
             || map.mask.near(&seen.mask, &plane_from_observed, gap)
     }
 
-    /// The jointly compatible sets of pairs among the largest observations that put the robot apart,
+    /// The jointly compatible sets of pairs among the most telling observations that put the robot apart,
     /// best first; at least one, which may be empty. Sets that have up to `slack` pairs fewer than the
     /// largest count too: a place may owe its additional pairs to chance.
     pub(super) fn search(
@@ -258,13 +258,22 @@ impl Question<'_> {
                 anchors.push((observation, fitting));
             }
         }
-        // The large ones, and of those first the ones with fewest choices.
-        let area = |observation: usize| self.observations[observation].area_m2();
-        anchors.sort_by(|a, b| area(b.0).total_cmp(&area(a.0)).then(a.0.cmp(&b.0)));
-        anchors.truncate(config.anchors);
+        let chosen = most_telling(self.observations, &anchors, config.anchors);
+        anchors.retain(|(observation, _)| chosen.contains(observation));
+        // First those with fewest choices.
         anchors.sort_by_key(|(_, fitting)| fitting.len());
+        // Every step copies the belief: only the planes in question go along.
+        let mut planes: Vec<usize> =
+            anchors.iter().flat_map(|anchor| anchor.1.iter().copied()).collect();
+        planes.sort_unstable();
+        planes.dedup();
+        for plane in anchors.iter_mut().flat_map(|anchor| &mut anchor.1) {
+            *plane = planes.partition_point(|known| known < plane);
+        }
+        let landmarks: Vec<&Landmark> = planes.iter().map(|&plane| self.landmarks[plane]).collect();
+        let question = Question { candidates: &[], landmarks: &landmarks, ..*self };
         let mut search = Search {
-            question: self,
+            question: &question,
             anchors: &anchors,
             config,
             slack,
@@ -272,7 +281,7 @@ impl Question<'_> {
             most: 0,
             found: Vec::new(),
         };
-        let start = Assignment { pairing: true, ..Assignment::none(belief) };
+        let start = Assignment { pairing: true, ..Assignment::none(&belief.among(&planes)) };
         search.descend(0, start);
         let mut found = search.found;
         // Not `search.most`: the set with most pairs may have lost its place to a likelier one.
@@ -280,7 +289,25 @@ impl Question<'_> {
         found.retain(|assignment| assignment.pairs.len() + slack >= most);
         found.sort_by(|a, b| b.score.total_cmp(&a.score));
         found.truncate(MOST_ASSIGNMENTS);
+        for assignment in &mut found {
+            for pair in &mut assignment.pairs {
+                pair.1 = planes[pair.1];
+            }
+            assignment.belief = self.after(belief, &assignment.pairs);
+        }
         found
+    }
+
+    /// The belief after pairs, taken in one by one until the pose is settled.
+    fn after(&self, belief: &Belief, pairs: &[(usize, usize)]) -> Belief {
+        let mut after = belief.clone();
+        for &(observation, plane) in pairs {
+            if settled(&after) {
+                break;
+            }
+            self.absorb(&mut after, observation, plane);
+        }
+        after
     }
 
     /// Decides every observation, given the belief after the joint search. Several observations may
@@ -374,6 +401,36 @@ impl Question<'_> {
         let angle = (relative.rotation * Vector3::z()).angle(&Vector3::z());
         angle < 0.02 && relative.translation.vector.z.abs() < 0.02
     }
+}
+
+/// Area beside which others facing the same way add little, in m².
+const TELLING_M2: f64 = 1.0;
+
+/// The observations that together say most about where the robot is: large ones, and small ones that
+/// face where no large one does. Along a corridor a pilaster says more than a third piece of its walls.
+fn most_telling(
+    observations: &[Observation],
+    among: &[(usize, Vec<usize>)],
+    count: usize,
+) -> Vec<usize> {
+    let mut left: Vec<usize> = among.iter().map(|anchor| anchor.0).collect();
+    let mut chosen = Vec::new();
+    let mut known = Matrix3::identity() * TELLING_M2;
+    while chosen.len() < count {
+        let Some(spread) = known.try_inverse() else { break };
+        let gain = |observation: usize| {
+            let normal = observations[observation].normal();
+            observations[observation].area_m2() * normal.dot(&(spread * normal))
+        };
+        // The first of equals.
+        let best = (0..left.len()).rev().max_by(|&a, &b| gain(left[a]).total_cmp(&gain(left[b])));
+        let Some(best) = best else { break };
+        let observation = left.remove(best);
+        let normal = observations[observation].normal();
+        known += normal * normal.transpose() * observations[observation].area_m2();
+        chosen.push(observation);
+    }
+    chosen
 }
 
 struct Search<'a> {

@@ -86,6 +86,20 @@ impl Belief {
         Self { world_from_robot, errors: with_errors.then(Vector4::zeros), planes, covariance }
     }
 
+    /// The belief over the same pose and some of the planes, in the order given.
+    pub(super) fn among(&self, planes: &[usize]) -> Self {
+        let first = self.first_plane();
+        let rows: Vec<usize> = (0..first)
+            .chain(planes.iter().flat_map(|plane| (0..3).map(move |i| first + 3 * plane + i)))
+            .collect();
+        Self {
+            world_from_robot: self.world_from_robot,
+            errors: self.errors,
+            planes: planes.iter().map(|&plane| self.planes[plane]).collect(),
+            covariance: self.covariance.select_rows(&rows).select_columns(&rows),
+        }
+    }
+
     fn first_plane(&self) -> usize {
         POSE + if self.errors.is_some() { ERRORS } else { 0 }
     }

@@ -71,6 +71,18 @@ impl<'a> Drive<'a> {
         self.look()
     }
 
+    /// Moves exactly to `target`, as one who steers by what he sees, while odometry, its turn measured by
+    /// an inertial unit, tells a motion with an error drawn from `noise`; then looks.
+    pub fn steer_to(&mut self, target: Isometry3<f64>, noise: &OdometryNoise) -> UpdateReport {
+        let moved = self.truth.inverse() * target;
+        let mut motion = Motion::default();
+        motion.append(&moved, TurnSource::Inertial);
+        let error = drawn6(&mut self.rng, &noise.covariance(&motion));
+        self.truth = target;
+        self.mapper.predict(&perturbed_pose(&moved, &error), TurnSource::Inertial);
+        self.look()
+    }
+
     /// Error of the pose: metres, radians.
     pub fn error(&self) -> (f64, f64) {
         let error = pose_error(&self.mapper.world_from_robot(), &self.truth);

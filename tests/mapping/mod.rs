@@ -3,5 +3,6 @@
 mod consistency;
 mod curves;
 mod drive;
+mod long_loop;
 mod situations;
 mod world;

@@ -3,13 +3,16 @@
 use super::dense::factorise_leading;
 use super::ordering::{Symbolic, eliminate};
 use super::{Graph, GraphUpdate, Key, Value};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Point3};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Information below which a direction counts as unknown (1 per km² or per (10⁴ rad)²): far below
 /// any prior.
 const UNKNOWN: f64 = 1e-8;
+
+/// Change of a variable's solution.
+type Step = [f64; 6];
 
 /// Part of the second order at which one variable is linearised again that takes others along with it:
 /// where neighbours are linearised at turns that differ, a turn of the whole looks as if it were measured.
@@ -331,23 +334,58 @@ impl Graph {
     /// corrections matter. Returns the variables whose solution changed.
     fn solve_down(&mut self, renewed: &[usize]) -> BTreeSet<Key> {
         let fresh: BTreeSet<usize> = renewed.iter().copied().collect();
-        let mut changed = BTreeSet::new();
+        let mut steps = BTreeMap::new();
         let mut pending: Vec<usize> = Vec::new();
         for &slot in renewed {
-            self.solve_clique(slot, &mut changed);
+            self.solve_clique(slot, &mut steps);
             pending.extend(self.clique(slot).children.iter().filter(|c| !fresh.contains(c)));
         }
         while let Some(slot) = pending.pop() {
-            let clique = self.clique(slot);
-            if clique.separators.iter().any(|key| changed.contains(key)) {
-                pending.extend(clique.children.iter().copied());
-                self.solve_clique(slot, &mut changed);
+            if self.matters(slot, &steps) {
+                pending.extend(self.clique(slot).children.iter().copied());
+                self.solve_clique(slot, &mut steps);
             }
         }
-        changed
+        let negligible = self.config.negligible;
+        steps.retain(|key, step: &mut Step| self.amount(*key, step) > negligible);
+        steps.into_keys().collect()
     }
 
-    fn solve_clique(&mut self, slot: usize, changed: &mut BTreeSet<Key>) {
+    /// What a step of a variable amounts to, in metres or radians: of a plane's tilt what it moves the
+    /// plane by where that was seen.
+    fn amount(&self, key: Key, step: &Step) -> f64 {
+        let variable = &self.variables[key.0 as usize];
+        let reach_m = if matches!(variable.at, Value::Plane(_)) { variable.reach_m } else { 1.0 };
+        let rest = step[1..].iter().fold(0.0_f64, |most, part| most.max(part.abs()));
+        step[0].abs().max(reach_m * rest)
+    }
+
+    /// Whether steps of a clique's separators change what it holds. A floor that all rooms share is
+    /// among the separators of each; that it tilts by a trifle about one of them is nothing to another
+    /// through whose place it still goes.
+    fn matters(&self, slot: usize, steps: &BTreeMap<Key, Step>) -> bool {
+        let Clique { frontals, separators, .. } = self.clique(slot);
+        let value = |key: &Key| &self.variables[key.0 as usize].at;
+        let place = frontals.iter().chain(separators).find_map(|key| match value(key) {
+            Value::Pose(pose) => Some(Point3::from(pose.translation.vector)),
+            _ => None,
+        });
+        separators.iter().any(|key| {
+            let Some(step) = steps.get(key) else { return false };
+            let amount = match (value(key), place) {
+                (Value::Plane(frame), Some(place)) => {
+                    let at = frame.inverse_transform_point(&place);
+                    let [offset, about_y, about_x, ..] = *step;
+                    let tilt = RAY_M * about_x.hypot(about_y);
+                    (offset + about_x * at.y - about_y * at.x).abs() + tilt
+                }
+                _ => self.amount(*key, step),
+            };
+            amount > self.config.negligible
+        })
+    }
+
+    fn solve_clique(&mut self, slot: usize, steps: &mut BTreeMap<Key, Step>) {
         let clique = self.clique(slot);
         let frontal = clique.columns.ncols();
         let size = clique.columns.nrows() - 1;
@@ -364,22 +402,18 @@ impl Graph {
         }
         let solved = clique.columns.rows(0, frontal).tr_solve_lower_triangular_mut(&mut solution);
         debug_assert!(solved, "pivots are positive after elimination");
-        let negligible = self.config.negligible;
         let frontals = self.clique(slot).frontals.clone();
         let mut at = 0;
         for key in frontals {
             let variable = &mut self.variables[key.0 as usize];
             let dimension = variable.at.dimension();
             let new = &solution.as_slice()[at..at + dimension];
-            // A plane's tilt counts by what it moves the plane where that was seen.
-            let tilt = if matches!(variable.at, Value::Plane(_)) { variable.reach_m } else { 1.0 };
             let old = &mut variable.delta[..dimension];
-            let counts = |(i, (old, new)): (usize, (&f64, &f64))| {
-                (old - new).abs() * if i == 0 { 1.0 } else { tilt } > negligible
-            };
-            if old.iter().zip(new).enumerate().any(counts) {
-                changed.insert(key);
+            let mut step = [0.0; 6];
+            for ((step, old), new) in step.iter_mut().zip(&*old).zip(new) {
+                *step = new - old;
             }
+            steps.insert(key, step);
             old.copy_from_slice(new);
             at += dimension;
         }
