@@ -132,23 +132,24 @@ impl WithSimd for Cut<'_> {
 fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
     // Readings that err alike break a line no more than one of them does.
     let trust = simd.splat_f32s((1.0 / field.errors.run).sqrt() as f32);
-    let width = S::F32_LANES;
     let inverse = S::as_mut_simd_f32s(&mut cutter.inverse).0;
     let sharpness = S::as_mut_simd_f32s(&mut cutter.sharpness).0;
-    let vectors = field.lanes.div_ceil(VECTORS * width) * VECTORS;
+    let vectors = field.lanes.div_ceil(VECTORS * S::F32_LANES) * VECTORS;
     for step in 0..field.steps {
+        let row = step * field.lanes..(step + 1) * field.lanes;
+        let (a, a_rest) = S::as_simd_f32s(&field.inverse[row.clone()]);
+        let (range, range_rest) = S::as_simd_f32s(&field.range[row.clone()]);
+        let (gain, gain_rest) = S::as_simd_f32s(&field.gain[row]);
+        let rests = [a_rest, range_rest, gain_rest];
         for vector in 0..vectors {
-            let first = (vector * width).min(field.lanes);
-            let last = (first + width).min(field.lanes);
-            let cells = step * field.lanes + first..step * field.lanes + last;
             let at = (vector / VECTORS * field.steps + step) * VECTORS + vector % VECTORS;
-            let [a, range, gain] = [&field.inverse, &field.range, &field.gain].map(|array| {
-                let values = &array[cells.clone()];
-                match S::as_simd_f32s(values).0.first() {
-                    Some(whole) => *whole,
-                    None => simd.partial_load_f32s(values),
-                }
-            });
+            let [a, range, gain] = if vector < a.len() {
+                [a[vector], range[vector], gain[vector]]
+            } else {
+                // What is left of the row, then nothing.
+                let [a, range, gain] = if vector == a.len() { rests } else { [&[][..]; 3] };
+                [simd.partial_load_f32s(a), simd.partial_load_f32s(range), simd.partial_load_f32s(gain)]
+            };
             inverse[at] = a;
             sharpness[at] = simd.mul_f32s(simd.mul_f32s(gain, range), trust);
         }
@@ -211,6 +212,16 @@ struct Line<V> {
 }
 
 impl<V: Copy> Line<V> {
+    /// A run of one cell: it has no error, and its length is one, whose bits are none.
+    #[inline(always)]
+    fn start<S: Simd<f32s = V>>(simd: S, before: V, inverse: V, sharpness: V) -> Self {
+        let zero = simd.splat_f32s(0.0);
+        let kept = simd.splat_f32s(f32::from_bits(!LENGTH_BITS));
+        let best = simd.sub_f32s(before, simd.splat_f32s(NO_SLOPE));
+        let best = simd.and_f32s(best, kept);
+        Self { inverse, sharpness, a: zero, b: zero, error: zero, best }
+    }
+
     /// Takes in one reading more.
     #[inline(always)]
     fn continue_to<S: Simd<f32s = V>>(
@@ -247,52 +258,61 @@ fn extend<S: Simd>(
 ) -> ([S::f32s; VECTORS], [S::u32s; VECTORS]) {
     let Runs { tables, past, costs } = runs;
     let zero = simd.splat_f32s(0.0);
-    let splat = |value| simd.splat_f32s(value);
-    let mut lines: [Line<S::f32s>; VECTORS] = std::array::from_fn(|i| {
-        // A run of one cell has no error; its length is one, whose bits are none.
-        let kept = splat(f32::from_bits(!LENGTH_BITS));
-        let best = simd.and_f32s(simd.sub_f32s(before[i], splat(NO_SLOPE)), kept);
-        let (inverse, sharpness) = (inverse[i], sharpness[i]);
-        Line { inverse, sharpness, a: zero, b: zero, error: zero, best }
-    });
+    let mut lines: [Line<S::f32s>; VECTORS] = [
+        Line::start(simd, before[0], inverse[0], sharpness[0]),
+        Line::start(simd, before[1], inverse[1], sharpness[1]),
+    ];
     let count = tables.len();
     let (past, costs) = (&past[..count], &costs[..count]);
     let doubted = count.min(DOUBTED);
     for (k, table) in tables[..doubted].iter().enumerate() {
-        let Table { back, alpha, beta, gamma, length, mean, inverse_scatter } = *table;
+        let (shared, length) = shared_by_lanes(simd, table);
+        let mean = simd.splat_f32s(table.mean);
+        let inverse_scatter = simd.splat_f32s(table.inverse_scatter);
         let at = count - 1 - k;
         for (i, line) in lines.iter_mut().enumerate() {
-            line.continue_to(simd, [back, alpha, beta, gamma].map(splat), past[at][i]);
-            let product = simd.sub_f32s(line.b, simd.mul_f32s(splat(mean), line.a));
-            let slope = simd.mul_f32s(product, splat(inverse_scatter));
+            line.continue_to(simd, shared, past[at][i]);
+            let product = simd.sub_f32s(line.b, simd.mul_f32s(mean, line.a));
+            let slope = simd.mul_f32s(product, inverse_scatter);
             let steepest = simd.mul_f32s(line.sharpness, line.inverse);
-            let steepest = simd.mul_f32s(steepest, splat(SLOPE));
-            let square = simd.max_f32s(simd.mul_f32s(steepest, steepest), splat(1e-6));
+            let steepest = simd.mul_f32s(steepest, simd.splat_f32s(SLOPE));
+            let square = simd.mul_f32s(steepest, steepest);
+            let square = simd.max_f32s(square, simd.splat_f32s(1e-6));
             // What the expectation says against the slope, at most what the slope explains.
             let said = simd.div_f32s(simd.mul_f32s(slope, slope), square);
             let said = simd.min_f32s(said, simd.mul_f32s(slope, product));
-            line.offer(simd, costs[at][i], simd.add_f32s(line.error, said), splat(length));
+            line.offer(simd, costs[at][i], simd.add_f32s(line.error, said), length);
         }
     }
     for (k, table) in tables[doubted..].iter().enumerate() {
-        let Table { back, alpha, beta, gamma, length, .. } = *table;
-        let shared = [back, alpha, beta, gamma].map(splat);
+        let (shared, length) = shared_by_lanes(simd, table);
         let at = count - 1 - doubted - k;
         for (i, line) in lines.iter_mut().enumerate() {
             line.continue_to(simd, shared, past[at][i]);
-            line.offer(simd, costs[at][i], line.error, splat(length));
+            line.offer(simd, costs[at][i], line.error, length);
         }
     }
-    let costs = std::array::from_fn(|i| {
+    let (mut costs, mut lengths) = (before, [simd.splat_u32s(0); VECTORS]);
+    for i in 0..VECTORS {
         // A cell without a return is a run of its own, at no price.
         let valid = simd.greater_than_f32s(sharpness[i], zero);
-        simd.select_f32s(valid, simd.add_f32s(lines[i].best, splat(PRICE)), before[i])
-    });
-    let lengths = std::array::from_fn(|i| {
-        let valid = simd.greater_than_f32s(sharpness[i], zero);
+        let cost = simd.add_f32s(lines[i].best, simd.splat_f32s(PRICE));
+        costs[i] = simd.select_f32s(valid, cost, before[i]);
         let bits = simd.transmute_u32s_f32s(lines[i].best);
         let bits = simd.and_u32s(bits, simd.splat_u32s(LENGTH_BITS));
-        simd.select_u32s(valid, bits, simd.splat_u32s(0))
-    });
+        lengths[i] = simd.select_u32s(valid, bits, lengths[i]);
+    }
     (costs, lengths)
+}
+
+/// What all lanes have in common of a run: its table, and the bits of its length.
+#[inline(always)]
+fn shared_by_lanes<S: Simd>(simd: S, table: &Table) -> ([S::f32s; 4], S::f32s) {
+    let shared = [
+        simd.splat_f32s(table.back),
+        simd.splat_f32s(table.alpha),
+        simd.splat_f32s(table.beta),
+        simd.splat_f32s(table.gamma),
+    ];
+    (shared, simd.splat_f32s(table.length))
 }

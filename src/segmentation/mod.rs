@@ -26,6 +26,7 @@ mod morphology;
 mod noise;
 mod noise_estimate;
 mod noise_model;
+mod outermost;
 mod paper;
 mod residual;
 mod split;

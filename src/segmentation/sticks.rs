@@ -12,8 +12,6 @@ use std::ops::Range;
 
 /// Most cells without a return between two sticks of a lane that are still neighbours.
 const BRIDGED: u32 = 2;
-/// No stick.
-pub(super) const NO_STICK: u32 = u32::MAX;
 
 /// A run of cells on one lane, `first..=last` steps, all of them valid.
 #[derive(Clone, Copy, Debug)]
@@ -46,8 +44,6 @@ impl Stick {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sticks {
     pub sticks: Vec<Stick>,
-    /// Stick of each cell.
-    pub of_cell: Vec<u32>,
     cutter: Cutter,
     /// First stick of each lane, and the end of the last.
     starts: Vec<u32>,
@@ -55,6 +51,8 @@ pub(super) struct Sticks {
     beside: Vec<[Range<u32>; 2]>,
     /// Sums of the positions of the steps and of their squares, up to each step.
     sums: Vec<[f64; 2]>,
+    /// One over the difference of the positions of each step and the next.
+    per_gap: Vec<f32>,
 }
 
 impl Sticks {
@@ -69,6 +67,8 @@ impl Sticks {
             sum = [sum[0] + position, sum[1] + position * position];
             self.sums.push(sum);
         }
+        self.per_gap.clear();
+        self.per_gap.extend(field.positions.windows(2).map(|pair| 1.0 / (pair[1] - pair[0])));
         self.collect(field);
         self.link();
     }
@@ -78,8 +78,6 @@ impl Sticks {
         let (steps, lanes) = (field.steps, field.lanes);
         self.sticks.clear();
         self.starts.clear();
-        self.of_cell.clear();
-        self.of_cell.resize(steps * lanes, NO_STICK);
         for lane in 0..lanes {
             let begin = self.sticks.len();
             self.starts.push(begin as u32);
@@ -94,15 +92,21 @@ impl Sticks {
                 end = first;
             }
             self.sticks[begin..].reverse();
-            for (k, stick) in self.sticks[begin..].iter().enumerate() {
-                let first = stick.first as usize * lanes + lane;
-                let count = stick.n as usize;
-                for row in self.of_cell[first..].chunks_mut(lanes).take(count) {
-                    row[0] = (begin + k) as u32;
-                }
-            }
         }
         self.starts.push(self.sticks.len() as u32);
+    }
+
+    /// Gives the cells of each stick a label, in an image as wide as there are lanes.
+    pub fn paint(&self, labels: &mut [u32], label_of: impl Fn(usize) -> u32) {
+        let lanes = self.starts.len().saturating_sub(1);
+        for (s, stick) in self.sticks.iter().enumerate() {
+            let label = label_of(s);
+            let mut cell = stick.first as usize * lanes + stick.lane as usize;
+            for _ in stick.first..=stick.last {
+                labels[cell] = label;
+                cell += lanes;
+            }
+        }
     }
 
     /// Finds which sticks of neighbouring lanes touch.
@@ -187,7 +191,7 @@ impl Sticks {
         let middle = anchor + mean_f;
         let ends = [-reach, reach].map(|t| {
             let range = 1.0 / (middle + slope * t);
-            ray_at(field, lane, first, last, origin + mean_t + t).map(|u| u * range)
+            self.ray_at(field, lane, [first, last], mean_t + t).map(|u| u * range)
         });
         // The gain changes smoothly along a stick.
         let [a, b, c] = [first, first + count / 2, last].map(|step| field.weight(cell(step)));
@@ -203,28 +207,38 @@ impl Sticks {
             error: left * range * range * gain,
         }
     }
-}
 
-/// The ray at a position between two steps of a lane.
-fn ray_at(field: &Field, lane: usize, first: usize, last: usize, position: f64) -> [f64; 3] {
-    let ray = |step: usize| {
-        let cell = step * field.lanes + lane;
-        [field.x[cell], field.y[cell], field.z[cell]].map(|v| v * field.inverse[cell])
-    };
-    // Steps are about evenly spaced: the search is short from there.
-    let away = (position - f64::from(field.positions[first])) / f64::from(field.along_rad);
-    let mut step = (first + away.max(0.0) as usize).min(last.saturating_sub(1)).max(first);
-    while step > first && f64::from(field.positions[step]) >= position {
-        step -= 1;
+    /// The ray of a lane at a position between two steps, which counts from the first.
+    fn ray_at(
+        &self,
+        field: &Field,
+        lane: usize,
+        [first, last]: [usize; 2],
+        position: f64,
+    ) -> [f64; 3] {
+        let ray = |step: usize| {
+            let cell = step * field.lanes + lane;
+            let inverse = field.inverse[cell];
+            [field.x[cell] * inverse, field.y[cell] * inverse, field.z[cell] * inverse]
+        };
+        if first == last {
+            return ray(first).map(f64::from);
+        }
+        let positions = &field.positions[first..=last];
+        let position = (position + f64::from(positions[0])) as f32;
+        // Steps are about evenly spaced: the search is short from there.
+        let even = (position - positions[0]) * (last - first) as f32;
+        let mut step = (even / (positions[last - first] - positions[0])) as usize;
+        step = step.min(last - first - 1);
+        while step > 0 && positions[step] >= position {
+            step -= 1;
+        }
+        while step + 1 < last - first && positions[step + 1] < position {
+            step += 1;
+        }
+        let share = (position - positions[step]) * self.per_gap[first + step];
+        let share = share.clamp(0.0, 1.0);
+        let (u, v) = (ray(first + step), ray(first + step + 1));
+        std::array::from_fn(|i| f64::from(u[i] + share * (v[i] - u[i])))
     }
-    while step + 1 < last && f64::from(field.positions[step + 1]) < position {
-        step += 1;
-    }
-    if step == last {
-        return ray(step).map(f64::from);
-    }
-    let (a, b) = (f64::from(field.positions[step]), f64::from(field.positions[step + 1]));
-    let share = ((position - a) / (b - a)).clamp(0.0, 1.0) as f32;
-    let (u, v) = (ray(step), ray(step + 1));
-    std::array::from_fn(|i| f64::from(u[i] + share * (v[i] - u[i])))
 }
