@@ -123,7 +123,7 @@ impl Competition {
     /// Settles the labels of the cells in the front, and of those whose neighbours change.
     fn settle_front(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
         let (width, length) = (field.lanes, field.len());
-        self.queued.clear();
+        // All are down between calls.
         self.queued.resize(length, false);
         for _ in 0..ROUNDS {
             self.changes.clear();
@@ -207,6 +207,7 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u
 }
 
 /// The labels around a cell; none where there is no cell or no return.
+#[inline]
 fn near_labels(labels: &[u32], cell: usize, width: usize) -> [u32; 8] {
     match inner8(cell, width, labels.len()) {
         Some([a, .., d, e, f, _, h]) => {

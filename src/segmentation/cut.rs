@@ -102,8 +102,11 @@ impl WithSimd for Cut<'_> {
         cutter.inverse.resize(cells, 0.0);
         cutter.sharpness.resize(cells, 0.0);
         cutter.length.resize(cells, 0);
-        cutter.cost.clear();
         cutter.cost.resize(cells + blocks * width, PRICE);
+        for block in 0..blocks {
+            let first = block * (steps + 1) * width;
+            cutter.cost[first..first + width].fill(PRICE);
+        }
         load(simd, cutter, field);
         let Cutter { inverse, sharpness, cost, length, tables, .. } = cutter;
         let (inverse, _) = S::as_simd_f32s(inverse).0.as_chunks::<VECTORS>();

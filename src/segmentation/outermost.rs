@@ -13,6 +13,8 @@ const VERTICES: usize = 4 * DIRECTIONS;
 const ROUNDING: f32 = 2e-6;
 /// Most points of a vector.
 const WIDEST: usize = 16;
+/// Points that are too few for a finer polygon to be worth it.
+const FEW: usize = 32;
 
 /// The points in single precision, filled up with the first of them.
 #[derive(Clone, Debug, Default)]
@@ -44,7 +46,7 @@ impl Outermost {
         run(Extremes { columns: self, polygon: &mut polygon });
         let mut count = DIRECTIONS;
         self.retain(&polygon[..count], named);
-        while count < VERTICES && !named.is_empty() {
+        while count < VERTICES && named.len() > FEW {
             let coarse = polygon;
             for (pair, &vertex) in polygon.chunks_mut(2).zip(&coarse[..count]) {
                 pair.fill(vertex);
@@ -125,6 +127,14 @@ impl WithSimd for Extremes<'_> {
         }
         for (at, (&x, &y)) in x.iter().zip(y).enumerate() {
             let values = coordinates(simd, x, y);
+            let mut any = simd.greater_than_or_equal_f32s(values[0], high[0]);
+            for k in 0..COORDINATES {
+                any = simd.or_m32s(any, simd.greater_than_or_equal_f32s(values[k], high[k]));
+                any = simd.or_m32s(any, simd.less_than_or_equal_f32s(values[k], low[k]));
+            }
+            if simd.first_true_m32s(any) == S::F32_LANES {
+                continue;
+            }
             for k in 0..COORDINATES {
                 let most = simd.greater_than_or_equal_f32s(values[k], high[k]);
                 let least = simd.less_than_or_equal_f32s(values[k], low[k]);

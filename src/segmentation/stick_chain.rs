@@ -13,7 +13,7 @@ use super::{Stage, StageImage};
 
 /// How far a plane moves, root mean square over its readings in units of their noise, before borders
 /// to it are settled again.
-const MOVED: f64 = 0.1;
+const MOVED: f64 = 0.2;
 
 /// What a chain knows of its labels.
 pub(super) struct Found<'a> {
@@ -32,7 +32,6 @@ pub(super) struct StickChain {
     sticks: Sticks,
     grower: Grower,
     grown: Vec<u32>,
-    settled: Vec<u32>,
     curves: CurveFinder,
     rivals: Vec<Rival>,
     competition: Competition,
@@ -72,7 +71,6 @@ impl StickChain {
         self.competition.settle(field, &self.rivals, labels);
         self.merge(field, labels);
         self.competition.settle_again(field, &self.rivals, labels, &self.changed);
-        self.settled.clone_from(labels);
         observe(Stage::Split);
         Found {
             moments: &self.moments,
@@ -113,14 +111,14 @@ impl StickChain {
         }
     }
 
-    /// The stages as pictures, in field order.
-    pub fn images(&self) -> Vec<StageImage> {
+    /// The stages as pictures, in field order; `labels` are those that the chain found.
+    pub fn images(&self, labels: &[u32]) -> Vec<StageImage> {
         let mut sticks = vec![0; self.grown.len()];
         self.sticks.paint(&mut sticks, |stick| stick as u32 + 1);
         vec![
             StageImage::labels("sticks", sticks),
             StageImage::labels("grown", self.grown.clone()),
-            StageImage::labels("settled", self.settled.clone()),
+            StageImage::labels("settled", labels.to_vec()),
         ]
     }
 }

@@ -5,13 +5,17 @@
 //! in its own lane, however narrow the surface, and edges along the lanes lie between sticks by
 //! construction.
 
-use super::cut::Cutter;
+use super::cut::{Cutter, LONGEST};
 use super::field::Field;
 use super::moments::Moments;
 use std::ops::Range;
 
 /// Most cells without a return between two sticks of a lane that are still neighbours.
 const BRIDGED: u32 = 2;
+
+/// Whole steps from the first of so many to the nearer of the two points that stand for them, where
+/// they are evenly spaced: `(n - 1) / 2 - √((n² - 1) / 12)`.
+const INNER: [usize; LONGEST + 1] = [0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2];
 
 /// A run of cells on one lane, `first..=last` steps, all of them valid.
 #[derive(Clone, Copy, Debug)]
@@ -189,9 +193,11 @@ impl Sticks {
         let reach = (scatter * share).sqrt();
         let left = (f2 - f1 * mean_f - slope * product).max(0.0);
         let middle = anchor + mean_f;
-        let ends = [-reach, reach].map(|t| {
+        let guess = INNER[count];
+        let guesses = [guess, count.saturating_sub(2 + guess)];
+        let ends = [(-reach, guesses[0]), (reach, guesses[1])].map(|(t, guess)| {
             let range = 1.0 / (middle + slope * t);
-            self.ray_at(field, lane, [first, last], mean_t + t).map(|u| u * range)
+            self.ray_at(field, lane, [first, last], mean_t + t, guess).map(|u| u * range)
         });
         // The gain changes smoothly along a stick.
         let [a, b, c] = [first, first + count / 2, last].map(|step| field.weight(cell(step)));
@@ -208,28 +214,25 @@ impl Sticks {
         }
     }
 
-    /// The ray of a lane at a position between two steps, which counts from the first.
+    /// The ray of a lane at a position between two steps, which counts from the first; `guess` is
+    /// where between them that is about.
     fn ray_at(
         &self,
         field: &Field,
         lane: usize,
         [first, last]: [usize; 2],
         position: f64,
+        guess: usize,
     ) -> [f64; 3] {
-        let ray = |step: usize| {
-            let cell = step * field.lanes + lane;
-            let inverse = field.inverse[cell];
-            [field.x[cell] * inverse, field.y[cell] * inverse, field.z[cell] * inverse]
-        };
+        let lanes = field.lanes;
+        let at = first * lanes + lane;
         if first == last {
-            return ray(first).map(f64::from);
+            let inverse = field.inverse[at];
+            return [field.x[at], field.y[at], field.z[at]].map(|v| f64::from(v * inverse));
         }
         let positions = &field.positions[first..=last];
-        let position = (position + f64::from(positions[0])) as f32;
-        // Steps are about evenly spaced: the search is short from there.
-        let even = (position - positions[0]) * (last - first) as f32;
-        let mut step = (even / (positions[last - first] - positions[0])) as usize;
-        step = step.min(last - first - 1);
+        let position = position as f32 + positions[0];
+        let mut step = guess.min(last - first - 1);
         while step > 0 && positions[step] >= position {
             step -= 1;
         }
@@ -238,7 +241,13 @@ impl Sticks {
         }
         let share = (position - positions[step]) * self.per_gap[first + step];
         let share = share.clamp(0.0, 1.0);
-        let (u, v) = (ray(first + step), ray(first + step + 1));
-        std::array::from_fn(|i| f64::from(u[i] + share * (v[i] - u[i])))
+        // Of one line between two rays, whose parts are inverse ranges times coordinates.
+        let (a, b) = (at + step * lanes, at + (step + 1) * lanes);
+        let (u, v) = ((1.0 - share) * field.inverse[a], share * field.inverse[b]);
+        [
+            f64::from(u * field.x[a] + v * field.x[b]),
+            f64::from(u * field.y[a] + v * field.y[b]),
+            f64::from(u * field.z[a] + v * field.z[b]),
+        ]
     }
 }
