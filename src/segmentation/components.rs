@@ -170,7 +170,7 @@ impl Components {
     /// Whether a cell has no valid neighbour of another component.
     pub fn is_core(&self, cell: usize, field: &Field) -> bool {
         let component = self.of_cell[cell];
-        let same = |n: usize| (self.of_cell[n] == component) | !field.is_valid(n);
+        let same = |n: usize| self.of_cell[n] == component || !field.is_valid(n);
         match inner8(cell, field.lanes, field.len()) {
             Some(around) => around.into_iter().all(same),
             None => neighbours8(cell, field.lanes, field.len()).all(same),

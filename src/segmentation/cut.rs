@@ -50,7 +50,8 @@ pub(super) struct Cutter {
 struct Table {
     /// Position of the farthest step before the last one.
     back: f32,
-    /// The prediction of its reading from the sums of the others, and how much its error counts.
+    /// The prediction of its reading from the sums of the others, negative, and how much its error
+    /// counts.
     alpha: f32,
     beta: f32,
     gamma: f32,
@@ -119,6 +120,11 @@ impl WithSimd for Cut<'_> {
                 let here = block * steps + step;
                 // Each block has a cost more than it has steps.
                 let before = here + block;
+                if is_empty(simd, sharpness[here]) {
+                    cost[before + 1] = cost[before];
+                    length[here] = [simd.splat_u32s(0); VECTORS];
+                    continue;
+                }
                 let past = &inverse[here - tables.len()..here];
                 let costs = &cost[before - tables.len()..before];
                 let runs = Runs { tables, past, costs };
@@ -128,6 +134,17 @@ impl WithSimd for Cut<'_> {
             }
         }
     }
+}
+
+/// Whether none of the cells has a return.
+#[inline(always)]
+fn is_empty<S: Simd>(simd: S, sharpness: [S::f32s; VECTORS]) -> bool {
+    let zero = simd.splat_f32s(0.0);
+    let mut greatest = zero;
+    for vector in sharpness {
+        greatest = simd.max_f32s(greatest, vector);
+    }
+    simd.first_true_m32s(simd.greater_than_f32s(greatest, zero)) == S::F32_LANES
 }
 
 /// Copies what the cut needs into blocks.
@@ -162,7 +179,7 @@ fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
 /// The tables for runs that end at a step, from two cells on.
 ///
 /// With times t counted back from the step, the line through the first m readings d predicts the next
-/// as `α Σd + β Σtd`, and that prediction and the reading differ by `1 / γ` times the variance of one.
+/// as `-α Σd - β Σtd`, and that prediction and the reading differ by `1 / γ` times the variance of one.
 fn make_tables(tables: &mut Vec<Table>, positions: &[f32], step: usize) {
     tables.clear();
     let (mut sum, mut squares) = (0.0_f64, 0.0_f64);
@@ -173,9 +190,9 @@ fn make_tables(tables: &mut Vec<Table>, positions: &[f32], step: usize) {
         let (mut alpha, mut beta, mut gamma) = (0.0, 0.0, 0.0);
         if k > 1 && spread > 0.0 {
             let share = 1.0 / spread;
-            (alpha, beta) = ((squares - back * sum) * share, (m * back - sum) * share);
+            (alpha, beta) = ((back * sum - squares) * share, (sum - m * back) * share);
             // Its leverage is the prediction of one reading's variance.
-            gamma = 1.0 / (1.0 + alpha + beta * back);
+            gamma = 1.0 / (1.0 - alpha - beta * back);
         }
         sum += back;
         squares += back * back;
@@ -234,11 +251,10 @@ impl<V: Copy> Line<V> {
         other: V,
     ) {
         let d = simd.mul_f32s(simd.sub_f32s(other, self.inverse), self.sharpness);
-        let off = simd.sub_f32s(d, simd.mul_f32s(alpha, self.a));
-        let off = simd.sub_f32s(off, simd.mul_f32s(beta, self.b));
+        let off = simd.mul_add_e_f32s(alpha, self.a, simd.mul_add_e_f32s(beta, self.b, d));
         self.a = simd.add_f32s(self.a, d);
-        self.b = simd.add_f32s(self.b, simd.mul_f32s(back, d));
-        self.error = simd.add_f32s(self.error, simd.mul_f32s(simd.mul_f32s(off, off), gamma));
+        self.b = simd.mul_add_e_f32s(back, d, self.b);
+        self.error = simd.mul_add_e_f32s(simd.mul_f32s(off, off), gamma, self.error);
     }
 
     /// Offers the line as it is.

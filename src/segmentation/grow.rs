@@ -57,7 +57,7 @@ impl Plane {
     /// Whether a stick lies on the plane.
     pub fn fits(&self, stick: &Stick, errors: &ReadingErrors) -> bool {
         let [xx, xy, xz, yy, yz, zz] = self.covariance;
-        let unit = 2.0 * stick.weight / stick.n;
+        let unit = stick.gain;
         stick.ends.iter().all(|&[x, y, z]| {
             let deviation = self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0;
             // No gate lets this pass.

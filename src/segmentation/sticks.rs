@@ -28,6 +28,8 @@ pub(super) struct Stick {
     pub ends: [[f64; 3]; 2],
     /// Weight `r² / σ²` of each end, times half the number of readings.
     pub weight: f64,
+    /// The same of one reading.
+    pub gain: f64,
     /// Number of readings.
     pub n: f64,
     /// Sum of squared errors of the readings about the line, in units of their noise.
@@ -106,7 +108,7 @@ impl Sticks {
         for (s, stick) in self.sticks.iter().enumerate() {
             let label = label_of(s);
             let mut cell = stick.first as usize * lanes + stick.lane as usize;
-            for _ in stick.first..=stick.last {
+            for _ in stick.first..stick.last + 1 {
                 labels[cell] = label;
                 cell += lanes;
             }
@@ -174,10 +176,11 @@ impl Sticks {
         let anchor = f64::from(inverse[0]);
         let origin = f64::from(field.positions[first]);
         let (mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0);
-        let readings = inverse.chunks(apart).zip(&field.positions[first..=last]);
-        for (inverse, &position) in readings {
-            let f = f64::from(inverse[0]) - anchor;
+        let mut at = 0;
+        for &position in &field.positions[first..=last] {
+            let f = f64::from(inverse[at]) - anchor;
             let t = f64::from(position) - origin;
+            at += apart;
             f1 += f;
             tf += t * f;
             f2 += f * f;
@@ -209,6 +212,7 @@ impl Sticks {
             last: last as u32,
             ends,
             weight: 0.5 * gain * n,
+            gain,
             n,
             error: left * range * range * gain,
         }

@@ -125,8 +125,8 @@ fn splat<S: Simd>(simd: S, [x, y, z]: [f64; 3]) -> [S::f64s; 3] {
 
 #[inline(always)]
 fn dot<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3]) -> S::f64s {
-    let xy = simd.add_f64s(simd.mul_f64s(a[0], b[0]), simd.mul_f64s(a[1], b[1]));
-    simd.add_f64s(xy, simd.mul_f64s(a[2], b[2]))
+    let xy = simd.mul_add_e_f64s(a[0], b[0], simd.mul_f64s(a[1], b[1]));
+    simd.mul_add_e_f64s(a[2], b[2], xy)
 }
 
 /// `a - b · factor`.
@@ -286,12 +286,12 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
             derivatives[N - 1] = simd.select_f64s(counts, scale, zero);
             for a in 0..N {
                 for b in a..N {
-                    let product = simd.mul_f64s(derivatives[a], derivatives[b]);
-                    products[a][b] = simd.add_f64s(products[a][b], product);
+                    let sum = products[a][b];
+                    products[a][b] = simd.mul_add_e_f64s(derivatives[a], derivatives[b], sum);
                 }
-                right[a] = simd.add_f64s(right[a], simd.mul_f64s(derivatives[a], error));
+                right[a] = simd.mul_add_e_f64s(derivatives[a], error, right[a]);
             }
-            square = simd.add_f64s(square, simd.mul_f64s(error, error));
+            square = simd.mul_add_e_f64s(error, error, square);
             count = simd.add_f64s(count, simd.select_f64s(counts, surface.one, zero));
         }
         let mut normal = NormalSums { products: [[0.0; N]; N], right: [0.0; N] };

@@ -189,22 +189,22 @@ fn add<S: Simd>(
     let ws = mul(simd, w, s);
     plus(simd, &mut sums[place::W], w);
     plus(simd, &mut sums[place::WS], ws);
-    plus(simd, &mut sums[place::WSS], mul(simd, ws, s));
+    plus_product(simd, &mut sums[place::WSS], ws, s);
     plus(simd, &mut sums[place::S], s);
-    plus(simd, &mut sums[place::SS], mul(simd, s, s));
+    plus_product(simd, &mut sums[place::SS], s, s);
     let capped = simd.min_f32s(square, simd.splat_f32s((CAP * CAP) as f32));
     plus(simd, &mut sums[place::ERROR], capped);
     plus(simd, &mut sums[place::INLIERS], counted);
-    plus(simd, &mut sums[place::GAIN], mul(simd, gain, gain));
+    plus_product(simd, &mut sums[place::GAIN], gain, gain);
     let mut pair = 0;
     for i in 0..3 {
-        plus(simd, &mut sums[place::WD + i], mul(simd, w, d[i]));
-        plus(simd, &mut sums[place::WSD + i], mul(simd, ws, d[i]));
+        plus_product(simd, &mut sums[place::WD + i], w, d[i]);
+        plus_product(simd, &mut sums[place::WSD + i], ws, d[i]);
         plus(simd, &mut sums[place::D + i], d[i]);
-        plus(simd, &mut sums[place::SD + i], mul(simd, s, d[i]));
+        plus_product(simd, &mut sums[place::SD + i], s, d[i]);
         for j in i..3 {
             let product = mul(simd, d[i], d[j]);
-            plus(simd, &mut sums[place::WDD + pair], mul(simd, w, product));
+            plus_product(simd, &mut sums[place::WDD + pair], w, product);
             plus(simd, &mut sums[place::DD + pair], product);
             pair += 1;
         }
@@ -214,6 +214,11 @@ fn add<S: Simd>(
 #[inline(always)]
 fn mul<S: Simd>(simd: S, a: S::f32s, b: S::f32s) -> S::f32s {
     simd.mul_f32s(a, b)
+}
+
+#[inline(always)]
+fn plus_product<S: Simd>(simd: S, sum: &mut S::f32s, a: S::f32s, b: S::f32s) {
+    *sum = simd.mul_add_e_f32s(a, b, *sum);
 }
 
 #[inline(always)]
