@@ -220,10 +220,12 @@ impl Assembler {
             }
         }
         self.can_spare.clear();
-        self.can_spare.extend(self.border_cells.iter().zip(&components.sizes).map(|(border, &all)| {
-            let core = all - border;
-            core >= FEWEST_CORE && core as f64 >= LEAST_CORE_SHARE * all as f64
-        }));
+        self.can_spare.extend(self.border_cells.iter().zip(&components.sizes).map(
+            |(border, &all)| {
+                let core = all - border;
+                core >= FEWEST_CORE && core as f64 >= LEAST_CORE_SHARE * all as f64
+            },
+        ));
         self.fit_gain.clone_from(&field.gain);
         for &(cell, component) in &self.border {
             if self.can_spare[component as usize] {

@@ -64,7 +64,8 @@ impl WithSimd for Find<'_> {
                 if other < rows {
                     let beside = other * width..(other + 1) * width;
                     let both = labels[span.clone()].iter().zip(&labels[beside.clone()]);
-                    for ((around, (a, b)), level) in around.iter_mut().zip(both).zip(&level[beside]) {
+                    for ((around, (a, b)), level) in around.iter_mut().zip(both).zip(&level[beside])
+                    {
                         *around |= (a ^ b) | level;
                     }
                 }

@@ -101,12 +101,12 @@ impl Competition {
         labels: &mut [u32],
         changed: &[bool],
     ) {
-        if !changed.contains(&true) {
+        if self.front.is_empty() && !changed.contains(&true) {
             return;
         }
         self.mark_no_returns(field, labels);
         let has_changed = |label: u32| changed.get(label as usize).is_some_and(|&changed| changed);
-        self.front.clear();
+        // What the rounds did not come to an end with is in the front still.
         self.front.extend(self.border.iter().filter(|&&cell| {
             has_changed(labels[cell as usize])
                 || near_labels(labels, cell as usize, field.lanes).into_iter().any(has_changed)
@@ -137,6 +137,7 @@ impl Competition {
                 }
             }
             if self.changes.is_empty() {
+                self.front.clear();
                 break;
             }
             for &(cell, label) in &self.changes {
@@ -194,7 +195,8 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u
     let mut last = NO_RETURN;
     for label in std::iter::once(0).chain(near) {
         // A label that is tried twice is no better the second time.
-        if label == own || label == last || label == NO_RETURN || (label == 0 && last != NO_RETURN) {
+        if label == own || label == last || label == NO_RETURN || (label == 0 && last != NO_RETURN)
+        {
             continue;
         }
         last = label;

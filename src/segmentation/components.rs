@@ -35,7 +35,8 @@ struct Run {
 /// How many labels equal the first.
 fn length_of_run(labels: &[u32]) -> usize {
     let (parts, rest) = labels.as_chunks::<8>();
-    let differs = |part: &[u32; 8]| part.iter().fold(0, |all, label| all | (label ^ labels[0])) != 0;
+    let differs =
+        |part: &[u32; 8]| part.iter().fold(0, |all, label| all | (label ^ labels[0])) != 0;
     let whole = parts.iter().take_while(|part| !differs(part)).count();
     let left = parts.get(whole).map_or(rest, |part| &part[..]);
     8 * whole + left.iter().take_while(|&&label| label == labels[0]).count()

@@ -168,7 +168,11 @@ fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
             } else {
                 // What is left of the row, then nothing.
                 let [a, range, gain] = if vector == a.len() { rests } else { [&[][..]; 3] };
-                [simd.partial_load_f32s(a), simd.partial_load_f32s(range), simd.partial_load_f32s(gain)]
+                [
+                    simd.partial_load_f32s(a),
+                    simd.partial_load_f32s(range),
+                    simd.partial_load_f32s(gain),
+                ]
             };
             inverse[at] = a;
             sharpness[at] = simd.mul_f32s(simd.mul_f32s(gain, range), trust);

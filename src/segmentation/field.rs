@@ -20,7 +20,7 @@ const FEWEST_SATURATED: u32 = 32;
 const SLOPE_RAD: f32 = 0.03;
 const STEEPEST: f32 = 10.0;
 /// Pairs of cells that are looked at to measure one angular pitch.
-const PITCH_SAMPLES: usize = 128;
+const PITCH_SAMPLES: usize = 256;
 /// Lanes that are looked at to measure the pitch between two steps.
 const LANE_SAMPLES: usize = 9;
 

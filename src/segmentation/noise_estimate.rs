@@ -33,7 +33,7 @@ const FIRST_SIZE: u32 = (127 - 24) << 3;
 /// Fewest samples that make a class of range count.
 const FEWEST: f64 = 60.0;
 /// About how many samples are taken of a scan.
-const SAMPLES: usize = 6_000;
+const SAMPLES: usize = 10_000;
 /// Widest pitch of the differences that tell how far errors are alike: 2.3°, with four of them less
 /// than most things are wide; and in cells.
 const WIDEST_RAD: f32 = 0.04;

@@ -6,8 +6,8 @@ use super::cylinder::{CylinderFit, fit_cylinder, improve_cylinder, settle_cylind
 use super::plane::fit_plane;
 use super::round::capped_error_of;
 use super::sphere::{SphereFit, fit_sphere, improve_sphere, settle_sphere};
-use super::{cylinder, sphere};
 use super::{CAP, Fitted, Model, PlaneFit, Readings};
+use super::{cylinder, sphere};
 use nalgebra::{Matrix4, Matrix5, Point3, Unit, Vector3};
 
 /// Excess of a plane's mean square error that imperfect surfaces and a wrong noise level explain.

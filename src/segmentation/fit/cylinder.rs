@@ -2,9 +2,7 @@
 
 use super::plane::largest_positive;
 use super::round::{Round, RoundSums, sum_round};
-use super::{
-    CONVERGED, FEW_ROUNDS, Model, Phase, RAY_ROUNDS, Readings, START_READINGS, STRAY,
-};
+use super::{CONVERGED, FEW_ROUNDS, Model, Phase, RAY_ROUNDS, Readings, START_READINGS, STRAY};
 use nalgebra::{Matrix3, Matrix5, Vector3};
 
 const ROUNDS: usize = 10;

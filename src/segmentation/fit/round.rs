@@ -195,10 +195,8 @@ fn across<S: Simd>(
     let mut distance = simd.sub_f64s(length, surface.radius);
     if bends {
         let lengthwise = dot(simd, surface.axis, readings.ray);
-        let along = simd.add_f64s(
-            simd.mul_f64s(lengthwise, lengthwise),
-            simd.mul_f64s(cosine, cosine),
-        );
+        let along =
+            simd.add_f64s(simd.mul_f64s(lengthwise, lengthwise), simd.mul_f64s(cosine, cosine));
         let sideways = simd.max_f64s(simd.sub_f64s(surface.one, along), simd.splat_f64s(0.0));
         // Places without a reading have an infinite deviation here, and do not count.
         let sigma = simd.div_f64s(surface.one, readings.per_sigma);
@@ -226,10 +224,8 @@ fn along<S: Simd>(
     // Of the circle, in units of the speed: R² less the square of how far the ray passes its centre.
     let per_speed = simd.div_f64s(surface.one, speed);
     let passes = scaled(simd, beside, per_speed);
-    let square = simd.sub_f64s(
-        simd.mul_f64s(surface.radius, surface.radius),
-        dot(simd, passes, passes),
-    );
+    let square =
+        simd.sub_f64s(simd.mul_f64s(surface.radius, surface.radius), dot(simd, passes, passes));
     let enters = simd.greater_than_f64s(square, simd.splat_f64s(0.0));
     let reach = simd.sqrt_f64s(simd.mul_f64s(square, speed));
     let range = simd.mul_f64s(simd.sub_f64s(middle, reach), per_speed);

@@ -49,7 +49,8 @@ fn refine(
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
-        let sums = sum_round::<4>(&readings.rays_by_column, round_of(&centre, radius_m), phase, stride);
+        let sums =
+            sum_round::<4>(&readings.rays_by_column, round_of(&centre, radius_m), phase, stride);
         let RoundSums { normal, square, count } = sums;
         let (normal, right) = (normal.normal(), normal.right());
         let Some(decomposed) = normal.cholesky() else { break };

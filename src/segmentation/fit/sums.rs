@@ -139,11 +139,7 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
 
 /// A run of an array: whole vectors, and what is left in one that zeros fill up.
 #[inline(always)]
-fn part<'a, S: Simd>(
-    simd: S,
-    array: &'a [f32],
-    run: &Range<usize>,
-) -> (&'a [S::f32s], S::f32s) {
+fn part<'a, S: Simd>(simd: S, array: &'a [f32], run: &Range<usize>) -> (&'a [S::f32s], S::f32s) {
     let (whole, rest) = S::as_simd_f32s(&array[run.clone()]);
     (whole, simd.partial_load_f32s(rest))
 }
@@ -167,7 +163,8 @@ fn add<S: Simd>(
     let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
     let present = simd.greater_than_f32s(inverse, zero);
     let [qx, qy, qz] = about.q;
-    let product = simd.add_f32s(simd.add_f32s(mul(simd, qx, x), mul(simd, qy, y)), mul(simd, qz, z));
+    let product =
+        simd.add_f32s(simd.add_f32s(mul(simd, qx, x), mul(simd, qy, y)), mul(simd, qz, z));
     let s = simd.select_f32s(present, simd.sub_f32s(product, one), zero);
     // Where the ray meets the plane: what follows from it does not depend on the reading's error.
     let near = simd.max_f32s(s, simd.splat_f32s(-FARTHEST));
