@@ -280,12 +280,11 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
                 }
             }
             derivatives[N - 1] = simd.select_f64s(counts, scale, zero);
-            for a in 0..N {
-                for b in a..N {
-                    let sum = products[a][b];
-                    products[a][b] = simd.mul_add_e_f64s(derivatives[a], derivatives[b], sum);
+            for (a, &own) in derivatives.iter().enumerate() {
+                for (sum, &other) in products[a].iter_mut().zip(&derivatives).skip(a) {
+                    *sum = simd.mul_add_e_f64s(own, other, *sum);
                 }
-                right[a] = simd.mul_add_e_f64s(derivatives[a], error, right[a]);
+                right[a] = simd.mul_add_e_f64s(own, error, right[a]);
             }
             square = simd.mul_add_e_f64s(error, error, square);
             count = simd.add_f64s(count, simd.select_f64s(counts, surface.one, zero));
