@@ -39,9 +39,11 @@ const LEAST_CORE_SHARE: f64 = 0.3;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assembler {
     components: Components,
-    border: Vec<u32>,
-    /// Cells at a border, one count for each component.
+    /// Cells at borders, with their components.
+    border: Vec<(u32, u32)>,
+    /// Cells at a border, one count for each component, and whether it can spare them.
     border_cells: Vec<usize>,
+    can_spare: Vec<bool>,
     /// Gains of the cells, zero at borders of regions that can spare them.
     fit_gain: Vec<f32>,
     readings: Readings,
@@ -206,23 +208,27 @@ impl Assembler {
     /// Takes the gains of the cells at borders to other regions away: which region they belong to
     /// was decided by their error, so they would bias a fit. Small regions keep theirs.
     fn leave_borders_out(&mut self, field: &Field, border: &[u32]) {
-        let of_cell = &self.components.of_cell;
-        self.border_cells.clear();
-        self.border_cells.resize(self.components.len(), 0);
         let components = &self.components;
+        self.border_cells.clear();
+        self.border_cells.resize(components.len(), 0);
         self.border.clear();
-        self.border.extend(border.iter().filter(|&&cell| {
-            of_cell[cell as usize] != NONE && !components.is_core(cell as usize, field)
-        }));
-        for &cell in &self.border {
-            self.border_cells[of_cell[cell as usize] as usize] += 1;
+        for &cell in border {
+            let component = components.of_cell[cell as usize];
+            if component != NONE && !components.is_core(cell as usize, field) {
+                self.border_cells[component as usize] += 1;
+                self.border.push((cell, component));
+            }
         }
+        self.can_spare.clear();
+        self.can_spare.extend(self.border_cells.iter().zip(&components.sizes).map(
+            |(border, &all)| {
+                let core = all - border;
+                core >= FEWEST_CORE && core as f64 >= LEAST_CORE_SHARE * all as f64
+            },
+        ));
         self.fit_gain.clone_from(&field.gain);
-        for &cell in &self.border {
-            let component = of_cell[cell as usize] as usize;
-            let all = self.components.sizes[component];
-            let core = all - self.border_cells[component];
-            if core >= FEWEST_CORE && core as f64 >= LEAST_CORE_SHARE * all as f64 {
+        for &(cell, component) in &self.border {
+            if self.can_spare[component as usize] {
                 self.fit_gain[cell as usize] = 0.0;
             }
         }

@@ -1,12 +1,14 @@
 //! Where labels change in an image of labels.
 
+use pulp::{Arch, Simd, WithSimd};
+
 /// Finds the cells at which two labels meet.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Borders {
-    /// Whether a cell has the label of both its neighbours in its row.
-    level: Vec<u8>,
-    /// Whether a cell of the row at hand has the label of all its neighbours.
-    inner: Vec<u8>,
+    /// The bits in which a cell's label differs from those of its neighbours in its row.
+    level: Vec<u32>,
+    /// The bits in which a cell of the row at hand differs from any neighbour.
+    around: Vec<u32>,
 }
 
 impl Borders {
@@ -16,41 +18,76 @@ impl Borders {
     /// them a few instructions each.
     pub fn find(&mut self, labels: &[u32], width: usize, cells: &mut Vec<u32>) {
         cells.clear();
-        if width == 0 {
-            return;
+        if width > 0 {
+            self.level.resize(labels.len(), 0);
+            Arch::new().dispatch(Find { borders: self, labels, width, cells });
         }
-        self.level.resize(labels.len(), 1);
-        for (row, level) in labels.chunks_exact(width).zip(self.level.chunks_exact_mut(width)) {
-            level[0] = u8::from(width == 1 || row[0] == row[1]);
-            level[width - 1] = u8::from(width == 1 || row[width - 1] == row[width - 2]);
-            if width > 2 {
-                let (left, middle, right) = (&row[..width - 2], &row[1..width - 1], &row[2..]);
-                let sides = left.iter().zip(middle).zip(right);
-                for (level, ((a, b), c)) in level[1..width - 1].iter_mut().zip(sides) {
-                    *level = u8::from((a == b) & (b == c));
-                }
+    }
+}
+
+/// One search; its loops are over arrays, so that they run on vectors of any width.
+struct Find<'a> {
+    borders: &'a mut Borders,
+    labels: &'a [u32],
+    width: usize,
+    cells: &'a mut Vec<u32>,
+}
+
+/// Cells that are passed over at a time where no labels meet.
+const PASSED: usize = 16;
+
+impl WithSimd for Find<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { borders: Borders { level, around }, labels, width, cells } = self;
+        for (row, level) in labels.chunks_exact(width).zip(level.chunks_exact_mut(width)) {
+            if width == 1 {
+                level[0] = 0;
+                continue;
+            }
+            level[0] = row[0] ^ row[1];
+            level[width - 1] = row[width - 1] ^ row[width - 2];
+            let (left, middle, right) = (&row[..width - 2], &row[1..width - 1], &row[2..]);
+            let sides = left.iter().zip(middle).zip(right);
+            for (level, ((a, b), c)) in level[1..width - 1].iter_mut().zip(sides) {
+                *level = (a ^ b) | (b ^ c);
             }
         }
         let rows = labels.len() / width;
         for row in 0..rows {
             let span = row * width..(row + 1) * width;
-            self.inner.clear();
-            self.inner.extend_from_slice(&self.level[span.clone()]);
+            around.clear();
+            around.extend_from_slice(&level[span.clone()]);
             for other in [row.wrapping_sub(1), row + 1] {
                 if other < rows {
                     let beside = other * width..(other + 1) * width;
-                    let same = labels[span.clone()].iter().zip(&labels[beside.clone()]);
-                    let level = &self.level[beside];
-                    for ((inner, (a, b)), level) in self.inner.iter_mut().zip(same).zip(level) {
-                        *inner &= u8::from(a == b) & level;
+                    let both = labels[span.clone()].iter().zip(&labels[beside.clone()]);
+                    for ((around, (a, b)), level) in around.iter_mut().zip(both).zip(&level[beside])
+                    {
+                        *around |= (a ^ b) | level;
                     }
                 }
             }
-            for (lane, &inner) in self.inner.iter().enumerate() {
-                if inner == 0 {
-                    cells.push((span.start + lane) as u32);
+            let (parts, rest) = around.as_chunks::<PASSED>();
+            let mut first = span.start as u32;
+            for part in parts {
+                if part.iter().fold(0, |all, differs| all | differs) != 0 {
+                    list(part, first, cells);
                 }
+                first += PASSED as u32;
             }
+            list(rest, first, cells);
+        }
+    }
+}
+
+/// Lists the cells that differ, the first of which is given.
+fn list(differing: &[u32], first: u32, cells: &mut Vec<u32>) {
+    for (cell, &differs) in (first..).zip(differing) {
+        if differs != 0 {
+            cells.push(cell);
         }
     }
 }

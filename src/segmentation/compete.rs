@@ -9,6 +9,7 @@ use super::field::Field;
 use super::fit::Model;
 use super::morphology::{inner8, neighbours8};
 use nalgebra::Vector3;
+use wide::u32x8;
 
 /// Squared error, in units of the noise, at which a cell is better left without a label.
 const UNEXPLAINED: f32 = 12.0;
@@ -86,18 +87,43 @@ impl Competition {
         for &cell in &self.border {
             self.at_border[cell as usize] = true;
         }
-        self.settle_again(field, rivals, labels);
+        self.front.clone_from(&self.border);
+        self.mark_no_returns(field, labels);
+        self.settle_front(field, rivals, labels);
     }
 
-    /// Settles labels that no more than became equal, or were given other rivals, since they were
-    /// last settled.
-    pub fn settle_again(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
-        let (width, length) = (field.lanes, field.len());
+    /// Settles labels of which no more than some, for which `changed` holds, became equal or were
+    /// given other rivals since all were last settled.
+    pub fn settle_again(
+        &mut self,
+        field: &Field,
+        rivals: &[Rival],
+        labels: &mut [u32],
+        changed: &[bool],
+    ) {
+        if self.front.is_empty() && !changed.contains(&true) {
+            return;
+        }
+        self.mark_no_returns(field, labels);
+        let has_changed = |label: u32| changed.get(label as usize).is_some_and(|&changed| changed);
+        // What the rounds did not come to an end with is in the front still.
+        self.front.extend(self.border.iter().filter(|&&cell| {
+            has_changed(labels[cell as usize])
+                || near_labels(labels, cell as usize, field.lanes).into_iter().any(has_changed)
+        }));
+        self.settle_front(field, rivals, labels);
+    }
+
+    fn mark_no_returns(&self, field: &Field, labels: &mut [u32]) {
         for (label, &range) in labels.iter_mut().zip(&field.range) {
             *label = if range > 0.0 { *label } else { NO_RETURN };
         }
-        self.front.clone_from(&self.border);
-        self.queued.clear();
+    }
+
+    /// Settles the labels of the cells in the front, and of those whose neighbours change.
+    fn settle_front(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
+        let (width, length) = (field.lanes, field.len());
+        // All are down between calls.
         self.queued.resize(length, false);
         for _ in 0..ROUNDS {
             self.changes.clear();
@@ -111,6 +137,7 @@ impl Competition {
                 }
             }
             if self.changes.is_empty() {
+                self.front.clear();
                 break;
             }
             for &(cell, label) in &self.changes {
@@ -143,14 +170,17 @@ impl Competition {
 fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u32 {
     let own = labels[cell];
     let near = near_labels(labels, cell, field.lanes);
-    let count = |label: u32| near.iter().map(|&l| u32::from(l == label)).sum::<u32>();
+    let all = u32x8::new(near);
+    // Each that is equal adds one less than nothing.
+    let count = |label: u32| all.simd_eq(u32x8::splat(label)).reduce_add().wrapping_neg();
     let (around, agree) = (8 - count(NO_RETURN), count(own));
+    let p = [field.x[cell], field.y[cell], field.z[cell]];
+    let (range, gain) = (field.range[cell], field.gain[cell]);
     let error = |label: u32| {
         if label == 0 {
             UNEXPLAINED
         } else {
-            let p = [field.x[cell], field.y[cell], field.z[cell]];
-            let e = rivals[label as usize].error(p, field.range[cell]) * field.gain[cell];
+            let e = rivals[label as usize].error(p, range) * gain;
             e * e
         }
     };
@@ -161,29 +191,31 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u
         return own;
     }
     let mut best = (kept, own);
-    let mut try_label = |label: u32| {
+    // Zero comes first, whether a neighbour has it or not.
+    let mut last = NO_RETURN;
+    for label in std::iter::once(0).chain(near) {
+        // A label that is tried twice is no better the second time.
+        if label == own || label == last || label == NO_RETURN || (label == 0 && last != NO_RETURN)
+        {
+            continue;
+        }
+        last = label;
         let cost = cost(error(label), count(label));
         if cost < best.0 {
             best = (cost, label);
-        }
-    };
-    if own != 0 {
-        try_label(0);
-    }
-    for (i, &label) in near.iter().enumerate() {
-        let fresh = label != own && label != 0 && label != NO_RETURN;
-        if fresh && !near[..i].contains(&label) {
-            try_label(label);
         }
     }
     best.1
 }
 
 /// The labels around a cell; none where there is no cell or no return.
+#[inline]
 fn near_labels(labels: &[u32], cell: usize, width: usize) -> [u32; 8] {
     match inner8(cell, width, labels.len()) {
-        Some([a, b, c, d, e, f, g, h]) => {
-            [labels[a], labels[b], labels[c], labels[d], labels[e], labels[f], labels[g], labels[h]]
+        Some([a, .., d, e, f, _, h]) => {
+            let (above, below) = (&labels[a..a + 3], &labels[f..=h]);
+            let (left, right) = (labels[d], labels[e]);
+            [above[0], above[1], above[2], left, right, below[0], below[1], below[2]]
         }
         None => {
             let mut near = [NO_RETURN; 8];

@@ -32,6 +32,16 @@ struct Run {
     parent: u32,
 }
 
+/// How many labels equal the first.
+fn length_of_run(labels: &[u32]) -> usize {
+    let (parts, rest) = labels.as_chunks::<8>();
+    let differs =
+        |part: &[u32; 8]| part.iter().fold(0, |all, label| all | (label ^ labels[0])) != 0;
+    let whole = parts.iter().take_while(|part| !differs(part)).count();
+    let left = parts.get(whole).map_or(rest, |part| &part[..]);
+    8 * whole + left.iter().take_while(|&&label| label == labels[0]).count()
+}
+
 /// No component.
 pub(super) const NONE: u32 = u32::MAX;
 
@@ -84,7 +94,7 @@ impl Components {
             let mut first = 0;
             while first < width {
                 let label = labels[first];
-                let same = labels[first..].iter().take_while(|&&l| l == label).count();
+                let same = length_of_run(&labels[first..]);
                 if label != 0 {
                     let first = (row * width + first) as u32;
                     let parent = self.runs.len() as u32;
@@ -161,7 +171,7 @@ impl Components {
     /// Whether a cell has no valid neighbour of another component.
     pub fn is_core(&self, cell: usize, field: &Field) -> bool {
         let component = self.of_cell[cell];
-        let same = |n: usize| (self.of_cell[n] == component) | !field.is_valid(n);
+        let same = |n: usize| self.of_cell[n] == component || !field.is_valid(n);
         match inner8(cell, field.lanes, field.len()) {
             Some(around) => around.into_iter().all(same),
             None => neighbours8(cell, field.lanes, field.len()).all(same),

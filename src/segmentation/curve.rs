@@ -397,7 +397,7 @@ fn deviations(model: &Model, stick: &Stick) -> [f64; 2] {
         let range = p.norm();
         let (distance, normal) = model.distance(&p);
         let cosine = (normal.dot(&p) / range).abs().max(LEAST_COSINE);
-        distance / (cosine * range) * (2.0 * stick.weight / stick.n).sqrt()
+        distance / (cosine * range) * stick.gain.sqrt()
     })
 }
 

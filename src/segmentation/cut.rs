@@ -50,7 +50,8 @@ pub(super) struct Cutter {
 struct Table {
     /// Position of the farthest step before the last one.
     back: f32,
-    /// The prediction of its reading from the sums of the others, and how much its error counts.
+    /// The prediction of its reading from the sums of the others, negative, and how much its error
+    /// counts.
     alpha: f32,
     beta: f32,
     gamma: f32,
@@ -102,8 +103,11 @@ impl WithSimd for Cut<'_> {
         cutter.inverse.resize(cells, 0.0);
         cutter.sharpness.resize(cells, 0.0);
         cutter.length.resize(cells, 0);
-        cutter.cost.clear();
         cutter.cost.resize(cells + blocks * width, PRICE);
+        for block in 0..blocks {
+            let first = block * (steps + 1) * width;
+            cutter.cost[first..first + width].fill(PRICE);
+        }
         load(simd, cutter, field);
         let Cutter { inverse, sharpness, cost, length, tables, .. } = cutter;
         let (inverse, _) = S::as_simd_f32s(inverse).0.as_chunks::<VECTORS>();
@@ -116,6 +120,11 @@ impl WithSimd for Cut<'_> {
                 let here = block * steps + step;
                 // Each block has a cost more than it has steps.
                 let before = here + block;
+                if is_empty(simd, sharpness[here]) {
+                    cost[before + 1] = cost[before];
+                    length[here] = [simd.splat_u32s(0); VECTORS];
+                    continue;
+                }
                 let past = &inverse[here - tables.len()..here];
                 let costs = &cost[before - tables.len()..before];
                 let runs = Runs { tables, past, costs };
@@ -127,28 +136,44 @@ impl WithSimd for Cut<'_> {
     }
 }
 
+/// Whether none of the cells has a return.
+#[inline(always)]
+fn is_empty<S: Simd>(simd: S, sharpness: [S::f32s; VECTORS]) -> bool {
+    let zero = simd.splat_f32s(0.0);
+    let mut greatest = zero;
+    for vector in sharpness {
+        greatest = simd.max_f32s(greatest, vector);
+    }
+    simd.first_true_m32s(simd.greater_than_f32s(greatest, zero)) == S::F32_LANES
+}
+
 /// Copies what the cut needs into blocks.
 #[inline(always)]
 fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
     // Readings that err alike break a line no more than one of them does.
     let trust = simd.splat_f32s((1.0 / field.errors.run).sqrt() as f32);
-    let width = S::F32_LANES;
     let inverse = S::as_mut_simd_f32s(&mut cutter.inverse).0;
     let sharpness = S::as_mut_simd_f32s(&mut cutter.sharpness).0;
-    let vectors = field.lanes.div_ceil(VECTORS * width) * VECTORS;
+    let vectors = field.lanes.div_ceil(VECTORS * S::F32_LANES) * VECTORS;
     for step in 0..field.steps {
+        let row = step * field.lanes..(step + 1) * field.lanes;
+        let (a, a_rest) = S::as_simd_f32s(&field.inverse[row.clone()]);
+        let (range, range_rest) = S::as_simd_f32s(&field.range[row.clone()]);
+        let (gain, gain_rest) = S::as_simd_f32s(&field.gain[row]);
+        let rests = [a_rest, range_rest, gain_rest];
         for vector in 0..vectors {
-            let first = (vector * width).min(field.lanes);
-            let last = (first + width).min(field.lanes);
-            let cells = step * field.lanes + first..step * field.lanes + last;
             let at = (vector / VECTORS * field.steps + step) * VECTORS + vector % VECTORS;
-            let [a, range, gain] = [&field.inverse, &field.range, &field.gain].map(|array| {
-                let values = &array[cells.clone()];
-                match S::as_simd_f32s(values).0.first() {
-                    Some(whole) => *whole,
-                    None => simd.partial_load_f32s(values),
-                }
-            });
+            let [a, range, gain] = if vector < a.len() {
+                [a[vector], range[vector], gain[vector]]
+            } else {
+                // What is left of the row, then nothing.
+                let [a, range, gain] = if vector == a.len() { rests } else { [&[][..]; 3] };
+                [
+                    simd.partial_load_f32s(a),
+                    simd.partial_load_f32s(range),
+                    simd.partial_load_f32s(gain),
+                ]
+            };
             inverse[at] = a;
             sharpness[at] = simd.mul_f32s(simd.mul_f32s(gain, range), trust);
         }
@@ -158,7 +183,7 @@ fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
 /// The tables for runs that end at a step, from two cells on.
 ///
 /// With times t counted back from the step, the line through the first m readings d predicts the next
-/// as `α Σd + β Σtd`, and that prediction and the reading differ by `1 / γ` times the variance of one.
+/// as `-α Σd - β Σtd`, and that prediction and the reading differ by `1 / γ` times the variance of one.
 fn make_tables(tables: &mut Vec<Table>, positions: &[f32], step: usize) {
     tables.clear();
     let (mut sum, mut squares) = (0.0_f64, 0.0_f64);
@@ -169,9 +194,9 @@ fn make_tables(tables: &mut Vec<Table>, positions: &[f32], step: usize) {
         let (mut alpha, mut beta, mut gamma) = (0.0, 0.0, 0.0);
         if k > 1 && spread > 0.0 {
             let share = 1.0 / spread;
-            (alpha, beta) = ((squares - back * sum) * share, (m * back - sum) * share);
+            (alpha, beta) = ((back * sum - squares) * share, (sum - m * back) * share);
             // Its leverage is the prediction of one reading's variance.
-            gamma = 1.0 / (1.0 + alpha + beta * back);
+            gamma = 1.0 / (1.0 - alpha - beta * back);
         }
         sum += back;
         squares += back * back;
@@ -211,6 +236,16 @@ struct Line<V> {
 }
 
 impl<V: Copy> Line<V> {
+    /// A run of one cell: it has no error, and its length is one, whose bits are none.
+    #[inline(always)]
+    fn start<S: Simd<f32s = V>>(simd: S, before: V, inverse: V, sharpness: V) -> Self {
+        let zero = simd.splat_f32s(0.0);
+        let kept = simd.splat_f32s(f32::from_bits(!LENGTH_BITS));
+        let best = simd.sub_f32s(before, simd.splat_f32s(NO_SLOPE));
+        let best = simd.and_f32s(best, kept);
+        Self { inverse, sharpness, a: zero, b: zero, error: zero, best }
+    }
+
     /// Takes in one reading more.
     #[inline(always)]
     fn continue_to<S: Simd<f32s = V>>(
@@ -220,11 +255,10 @@ impl<V: Copy> Line<V> {
         other: V,
     ) {
         let d = simd.mul_f32s(simd.sub_f32s(other, self.inverse), self.sharpness);
-        let off = simd.sub_f32s(d, simd.mul_f32s(alpha, self.a));
-        let off = simd.sub_f32s(off, simd.mul_f32s(beta, self.b));
+        let off = simd.mul_add_e_f32s(alpha, self.a, simd.mul_add_e_f32s(beta, self.b, d));
         self.a = simd.add_f32s(self.a, d);
-        self.b = simd.add_f32s(self.b, simd.mul_f32s(back, d));
-        self.error = simd.add_f32s(self.error, simd.mul_f32s(simd.mul_f32s(off, off), gamma));
+        self.b = simd.mul_add_e_f32s(back, d, self.b);
+        self.error = simd.mul_add_e_f32s(simd.mul_f32s(off, off), gamma, self.error);
     }
 
     /// Offers the line as it is.
@@ -247,52 +281,61 @@ fn extend<S: Simd>(
 ) -> ([S::f32s; VECTORS], [S::u32s; VECTORS]) {
     let Runs { tables, past, costs } = runs;
     let zero = simd.splat_f32s(0.0);
-    let splat = |value| simd.splat_f32s(value);
-    let mut lines: [Line<S::f32s>; VECTORS] = std::array::from_fn(|i| {
-        // A run of one cell has no error; its length is one, whose bits are none.
-        let kept = splat(f32::from_bits(!LENGTH_BITS));
-        let best = simd.and_f32s(simd.sub_f32s(before[i], splat(NO_SLOPE)), kept);
-        let (inverse, sharpness) = (inverse[i], sharpness[i]);
-        Line { inverse, sharpness, a: zero, b: zero, error: zero, best }
-    });
+    let mut lines: [Line<S::f32s>; VECTORS] = [
+        Line::start(simd, before[0], inverse[0], sharpness[0]),
+        Line::start(simd, before[1], inverse[1], sharpness[1]),
+    ];
     let count = tables.len();
     let (past, costs) = (&past[..count], &costs[..count]);
     let doubted = count.min(DOUBTED);
     for (k, table) in tables[..doubted].iter().enumerate() {
-        let Table { back, alpha, beta, gamma, length, mean, inverse_scatter } = *table;
+        let (shared, length) = shared_by_lanes(simd, table);
+        let mean = simd.splat_f32s(table.mean);
+        let inverse_scatter = simd.splat_f32s(table.inverse_scatter);
         let at = count - 1 - k;
         for (i, line) in lines.iter_mut().enumerate() {
-            line.continue_to(simd, [back, alpha, beta, gamma].map(splat), past[at][i]);
-            let product = simd.sub_f32s(line.b, simd.mul_f32s(splat(mean), line.a));
-            let slope = simd.mul_f32s(product, splat(inverse_scatter));
+            line.continue_to(simd, shared, past[at][i]);
+            let product = simd.sub_f32s(line.b, simd.mul_f32s(mean, line.a));
+            let slope = simd.mul_f32s(product, inverse_scatter);
             let steepest = simd.mul_f32s(line.sharpness, line.inverse);
-            let steepest = simd.mul_f32s(steepest, splat(SLOPE));
-            let square = simd.max_f32s(simd.mul_f32s(steepest, steepest), splat(1e-6));
+            let steepest = simd.mul_f32s(steepest, simd.splat_f32s(SLOPE));
+            let square = simd.mul_f32s(steepest, steepest);
+            let square = simd.max_f32s(square, simd.splat_f32s(1e-6));
             // What the expectation says against the slope, at most what the slope explains.
             let said = simd.div_f32s(simd.mul_f32s(slope, slope), square);
             let said = simd.min_f32s(said, simd.mul_f32s(slope, product));
-            line.offer(simd, costs[at][i], simd.add_f32s(line.error, said), splat(length));
+            line.offer(simd, costs[at][i], simd.add_f32s(line.error, said), length);
         }
     }
     for (k, table) in tables[doubted..].iter().enumerate() {
-        let Table { back, alpha, beta, gamma, length, .. } = *table;
-        let shared = [back, alpha, beta, gamma].map(splat);
+        let (shared, length) = shared_by_lanes(simd, table);
         let at = count - 1 - doubted - k;
         for (i, line) in lines.iter_mut().enumerate() {
             line.continue_to(simd, shared, past[at][i]);
-            line.offer(simd, costs[at][i], line.error, splat(length));
+            line.offer(simd, costs[at][i], line.error, length);
         }
     }
-    let costs = std::array::from_fn(|i| {
+    let (mut costs, mut lengths) = (before, [simd.splat_u32s(0); VECTORS]);
+    for i in 0..VECTORS {
         // A cell without a return is a run of its own, at no price.
         let valid = simd.greater_than_f32s(sharpness[i], zero);
-        simd.select_f32s(valid, simd.add_f32s(lines[i].best, splat(PRICE)), before[i])
-    });
-    let lengths = std::array::from_fn(|i| {
-        let valid = simd.greater_than_f32s(sharpness[i], zero);
+        let cost = simd.add_f32s(lines[i].best, simd.splat_f32s(PRICE));
+        costs[i] = simd.select_f32s(valid, cost, before[i]);
         let bits = simd.transmute_u32s_f32s(lines[i].best);
         let bits = simd.and_u32s(bits, simd.splat_u32s(LENGTH_BITS));
-        simd.select_u32s(valid, bits, simd.splat_u32s(0))
-    });
+        lengths[i] = simd.select_u32s(valid, bits, lengths[i]);
+    }
     (costs, lengths)
+}
+
+/// What all lanes have in common of a run: its table, and the bits of its length.
+#[inline(always)]
+fn shared_by_lanes<S: Simd>(simd: S, table: &Table) -> ([S::f32s; 4], S::f32s) {
+    let shared = [
+        simd.splat_f32s(table.back),
+        simd.splat_f32s(table.alpha),
+        simd.splat_f32s(table.beta),
+        simd.splat_f32s(table.gamma),
+    ];
+    (shared, simd.splat_f32s(table.length))
 }

@@ -24,6 +24,9 @@ const WIDEST_GATE: f64 = 8.0;
 const FEWEST: f64 = 6.0;
 /// Growth of a region's readings after which its plane is solved anew.
 const NEWS: f64 = 1.1;
+/// Readings beyond which a plane can wait longer for that, and how much longer.
+const MANY: f64 = 200.0;
+const OLD_NEWS: f64 = 1.3;
 /// Most that a plane is in doubt by common errors, in variances of one reading: it is told beside
 /// where it is asked for.
 const MOST_COMMON: f64 = 2.0;
@@ -54,7 +57,7 @@ impl Plane {
     /// Whether a stick lies on the plane.
     pub fn fits(&self, stick: &Stick, errors: &ReadingErrors) -> bool {
         let [xx, xy, xz, yy, yz, zz] = self.covariance;
-        let unit = 2.0 * stick.weight / stick.n;
+        let unit = stick.gain;
         stick.ends.iter().all(|&[x, y, z]| {
             let deviation = self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0;
             // No gate lets this pass.
@@ -177,7 +180,8 @@ impl Grower {
             self.region_of[s as usize] = label;
         }
         let mut at = 0;
-        let mut solved = region.moments.n;
+        let after = |n: f64| if n < MANY { NEWS * n } else { OLD_NEWS * n };
+        let mut next = after(region.moments.n);
         while at < self.front.len() {
             let stick = self.front[at];
             at += 1;
@@ -189,9 +193,9 @@ impl Grower {
                     self.front.push(s);
                     // A few more readings hardly move a plane; its covariance says what it is
                     // known to, so a plane that lags behind is only a little more careful.
-                    if region.moments.n > NEWS * solved {
+                    if region.moments.n > next {
                         region.plane = Plane::of(&region.moments);
-                        solved = region.moments.n;
+                        next = after(region.moments.n);
                     }
                 }
             }
@@ -201,7 +205,7 @@ impl Grower {
 
     /// Merges neighbouring regions that one plane explains.
     fn merge(&mut self, field: &Field, sticks: &Sticks) {
-        self.merger.pairs.clear();
+        self.merger.clear_pairs();
         for s in 0..sticks.sticks.len() as u32 {
             let region = self.region_of[s as usize];
             if region != 0 {

@@ -1,21 +1,20 @@
 //! Convex hulls of many points in a plane, without allocation.
 
+use super::outermost::Outermost;
 use nalgebra::{Isometry3, Point2, Vector3};
 use std::ops::Range;
-
-/// Directions in which extreme points are sought, 45° apart; what lies inside their polygon is no
-/// vertex.
-const DIRECTIONS: usize = 8;
 
 /// Buffers of the hull.
 #[derive(Clone, Debug, Default)]
 pub(super) struct HullFinder {
-    outer: Vec<[f64; 2]>,
+    /// Points, or cells, that may be vertices.
+    outer: Vec<u32>,
     /// Cells at the ends of rows and columns.
     ends: Vec<u32>,
     /// First cell of the first and of the last row in which each column has a cell.
     tops: Vec<u32>,
     bottoms: Vec<u32>,
+    outermost: Outermost,
     candidates: Vec<[f64; 2]>,
 }
 
@@ -27,17 +26,33 @@ fn distance_squared(a: [f64; 2], b: [f64; 2]) -> f64 {
     (b[0] - a[0]).powi(2) + (b[1] - a[1]).powi(2)
 }
 
+fn narrow(v: &Vector3<f64>) -> [f32; 3] {
+    [v.x as f32, v.y as f32, v.z as f32]
+}
+
 impl HullFinder {
     /// The convex hull of `points`, counter-clockwise from the lowest (then leftmost) point, as
     /// [`convex_hull`](crate::geometry::convex_hull) gives it; empty where there is none.
     ///
     /// Jarvis's march costs O(n h), so the points that cannot be vertices are dropped first: those
-    /// strictly inside the polygon of the extreme points in eight directions, which is all but a few
-    /// per cent of a filled region.
+    /// strictly inside a polygon of others, which is all but a few per cent of a filled region.
+    #[cfg(test)]
     pub fn find(&mut self, points: &[[f64; 2]], hull: &mut Vec<Point2<f64>>) {
+        self.outer.clear();
+        self.outer.extend(0..points.len() as u32);
+        let columns = points.iter().map(|point| point.map(|value| value as f32));
+        self.outermost.keep(columns, &mut self.outer);
+        self.candidates.clear();
+        self.candidates.extend(self.outer.iter().map(|&point| points[point as usize]));
+        self.march(hull);
+    }
+
+    /// Jarvis's march around the candidates.
+    fn march(&mut self, hull: &mut Vec<Point2<f64>>) {
         hull.clear();
-        self.keep_outer(points);
         let candidates = &mut self.candidates;
+        // What is not a number is no vertex.
+        candidates.retain(|point| point.iter().all(|value| value.is_finite()));
         candidates.sort_unstable_by(|a, b| a[1].total_cmp(&b[1]).then(a[0].total_cmp(&b[0])));
         candidates.dedup();
         if candidates.len() < 3 {
@@ -88,15 +103,22 @@ impl HullFinder {
         let rotation = grid_from_plane.rotation.to_rotation_matrix().into_inner();
         let origin = grid_from_plane.translation.vector;
         let (ex, ey) = (rotation.column(0).into_owned(), rotation.column(1).into_owned());
-        let mut outer = std::mem::take(&mut self.outer);
-        outer.clear();
-        outer.extend(self.ends.iter().map(|&cell| {
+        let ([ax, ay, az], [bx, by, bz]) = (narrow(&ex), narrow(&ey));
+        let [ox, oy, oz] = narrow(&origin);
+        let columns = self.ends.iter().map(|&cell| {
+            let cell = cell as usize;
+            let (x, y, z) = (x[cell] - ox, y[cell] - oy, z[cell] - oz);
+            [ax * x + ay * y + az * z, bx * x + by * y + bz * z]
+        });
+        self.outer.clone_from(&self.ends);
+        self.outermost.keep(columns, &mut self.outer);
+        self.candidates.clear();
+        self.candidates.extend(self.outer.iter().map(|&cell| {
             let cell = cell as usize;
             let d = Vector3::new(x[cell], y[cell], z[cell]).cast::<f64>() - origin;
             [ex.dot(&d), ey.dot(&d)]
         }));
-        self.find(&outer, hull);
-        self.outer = outer;
+        self.march(hull);
     }
 
     /// Lists the first and the last cell of each row and of each column.
@@ -138,85 +160,6 @@ impl HullFinder {
             self.tops[column] = u32::MAX;
             self.bottoms[column] = u32::MAX;
         }
-    }
-
-    /// Copies the points that may be vertices.
-    fn keep_outer(&mut self, points: &[[f64; 2]]) {
-        let extremes = Extremes::of(points.iter());
-        self.candidates.clear();
-        self.candidates.extend(points.iter().filter(|point| extremes.may_be_vertex(**point)));
-        self.keep_beyond_chords(&extremes);
-    }
-
-    /// Takes those candidates out that are inside the triangles that the farthest candidate beyond
-    /// each edge of the extremes' polygon makes with it.
-    fn keep_beyond_chords(&mut self, extremes: &Extremes) {
-        let edges: [_; DIRECTIONS] =
-            std::array::from_fn(|k| (extremes.points[k], extremes.points[(k + 1) % DIRECTIONS]));
-        let mut tops = edges.map(|(a, _)| (0.0, a));
-        for &point in &self.candidates {
-            for (top, (a, b)) in tops.iter_mut().zip(edges) {
-                let beyond = -cross(a, b, point);
-                if beyond > top.0 {
-                    *top = (beyond, point);
-                }
-            }
-        }
-        self.candidates.retain(|&point| {
-            !edges.iter().zip(&tops).any(|(&(a, b), &(height, top))| {
-                // Strictly inside, so that no vertex goes.
-                height > 0.0
-                    && cross(a, b, point) < 0.0
-                    && cross(a, top, point) > 0.0
-                    && cross(top, b, point) > 0.0
-            })
-        });
-    }
-}
-
-/// The points farthest in eight directions, counter-clockwise.
-struct Extremes {
-    points: [[f64; 2]; DIRECTIONS],
-    /// A rectangle whose inside is inside the polygon of the points.
-    low: [f64; 2],
-    high: [f64; 2],
-}
-
-impl Extremes {
-    fn of<'a>(points: impl Iterator<Item = &'a [f64; 2]>) -> Self {
-        let mut extremes = [[0.0; 2]; DIRECTIONS];
-        let mut reach = [f64::NEG_INFINITY; DIRECTIONS];
-        for point in points {
-            let [x, y] = *point;
-            let (sum, difference) = (x + y, y - x);
-            let along = [x, sum, y, difference, -x, -sum, -y, -difference];
-            for k in 0..DIRECTIONS {
-                if along[k] > reach[k] {
-                    reach[k] = along[k];
-                    extremes[k] = *point;
-                }
-            }
-        }
-        // A point with one of the four diagonal extremes in each quadrant about it is inside their
-        // quadrilateral: that holds in a whole rectangle.
-        let [_, a, _, b, _, c, _, d] = extremes;
-        let low = [b[0].max(c[0]), c[1].max(d[1])];
-        let high = [a[0].min(d[0]), a[1].min(b[1])];
-        Self { points: extremes, low, high }
-    }
-
-    fn surely_contains(&self, [x, y]: [f64; 2]) -> bool {
-        (self.low[0] < x) & (x < self.high[0]) & (self.low[1] < y) & (y < self.high[1])
-    }
-
-    /// Whether a point is not strictly inside the polygon: left of all its edges.
-    fn may_be_vertex(&self, point: [f64; 2]) -> bool {
-        !self.surely_contains(point)
-            && point.iter().all(|v| v.is_finite())
-            && (0..DIRECTIONS).any(|k| {
-                let (a, b) = (self.points[k], self.points[(k + 1) % DIRECTIONS]);
-                a != b && cross(a, b, point) <= 0.0
-            })
     }
 }
 

@@ -8,23 +8,45 @@ use super::noise::ReadingErrors;
 const FREE_RISE: f64 = 25.0;
 /// Further rise per reading of the smaller region: surfaces and sensors are not perfect.
 const RISE_PER_READING: f64 = 0.1;
+/// Pairs that are remembered while others are listed.
+const LATELY: usize = 256;
 
 /// Merges regions, which are numbered from 1.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Merger {
     /// Regions that touch, each pair once, the smaller number first.
     pub pairs: Vec<(u32, u32)>,
+    /// Pairs that were listed lately, each at a place that its labels give: most come again.
+    lately: [(u32, u32); LATELY],
     parents: Vec<u32>,
     costs: Vec<f64>,
     /// Round in which each region last took another in.
     grew: Vec<u32>,
 }
 
+impl Default for Merger {
+    fn default() -> Self {
+        Self {
+            pairs: Vec::new(),
+            lately: [(0, 0); LATELY],
+            parents: Vec::new(),
+            costs: Vec::new(),
+            grew: Vec::new(),
+        }
+    }
+}
+
 impl Merger {
+    /// Forgets all pairs.
+    pub fn clear_pairs(&mut self) {
+        self.pairs.clear();
+        self.lately.fill((0, 0));
+    }
+
     /// Lists the pairs of labels that touch in an image, corners included. `borders` holds the cells
     /// at which labels meet.
     pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize, borders: &[u32]) {
-        self.pairs.clear();
+        self.clear_pairs();
         for &cell in borders {
             let cell = cell as usize;
             let label = labels[cell];
@@ -52,8 +74,13 @@ impl Merger {
 
     /// Adds a pair of labels unless they are equal or one is none.
     pub fn push_pair(&mut self, a: u32, b: u32) {
+        if a == b || a == 0 || b == 0 {
+            return;
+        }
         let pair = (a.min(b), a.max(b));
-        if a != b && a != 0 && b != 0 && self.pairs.last() != Some(&pair) {
+        let lately = &mut self.lately[(pair.0 * 37 + pair.1) as usize % LATELY];
+        if *lately != pair {
+            *lately = pair;
             self.pairs.push(pair);
         }
     }
@@ -128,6 +155,11 @@ impl Merger {
                 *label = self.parents[*label as usize];
             }
         }
+    }
+
+    /// Whether a region has taken others in.
+    pub fn has_grown(&self, label: u32) -> bool {
+        self.grew[label as usize] > 0
     }
 
     /// The region that a region has become part of.

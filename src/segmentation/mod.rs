@@ -26,6 +26,7 @@ mod morphology;
 mod noise;
 mod noise_estimate;
 mod noise_model;
+mod outermost;
 mod paper;
 mod residual;
 mod split;
@@ -179,7 +180,7 @@ impl Segmenter {
     pub fn stage_images(&self) -> Vec<StageImage> {
         let images = match self.config.method {
             Method::Paper => self.paper.images(&self.field),
-            Method::Sticks => self.sticks.images(),
+            Method::Sticks => self.sticks.images(&self.labels),
         };
         images.into_iter().map(|image| image.in_grid_order(&self.field)).collect()
     }

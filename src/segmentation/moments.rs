@@ -106,11 +106,17 @@ impl Moments {
 
     /// Sum of the squared errors under the plane `q`, in units of the noise.
     pub fn error(&self, q: &[f64; 3]) -> f64 {
-        let [xx, xy, xz, yy, yz, zz] = self.a;
         let [x, y, z] = *q;
-        let quadratic =
-            xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
-        (self.c - 2.0 * (self.b[0] * x + self.b[1] * y + self.b[2] * z) + quadratic).max(0.0)
+        let linear = self.b[0] * x + self.b[1] * y + self.b[2] * z;
+        (self.c - 2.0 * linear + self.square(q)).max(0.0)
+    }
+
+    /// Sum of the squares of what readings on a plane move by, in units of the noise, when `moved` is
+    /// added to its `q`.
+    pub fn square(&self, moved: &[f64; 3]) -> f64 {
+        let [xx, xy, xz, yy, yz, zz] = self.a;
+        let [x, y, z] = *moved;
+        xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z)
     }
 
     /// As [`error`](Self::error), with what the prior says against the plane.

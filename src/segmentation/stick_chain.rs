@@ -8,8 +8,12 @@ use super::fit::Model;
 use super::grow::Grower;
 use super::merge::Merger;
 use super::moments::Moments;
-use super::sticks::{NO_STICK, Sticks};
+use super::sticks::Sticks;
 use super::{Stage, StageImage};
+
+/// How far a plane moves, root mean square over its readings in units of their noise, before borders
+/// to it are settled again.
+const MOVED: f64 = 0.2;
 
 /// What a chain knows of its labels.
 pub(super) struct Found<'a> {
@@ -28,11 +32,12 @@ pub(super) struct StickChain {
     sticks: Sticks,
     grower: Grower,
     grown: Vec<u32>,
-    settled: Vec<u32>,
     curves: CurveFinder,
     rivals: Vec<Rival>,
     competition: Competition,
     moments: Vec<Moments>,
+    /// Labels whose plane became another since the borders were settled.
+    changed: Vec<bool>,
     merger: Merger,
 }
 
@@ -52,12 +57,8 @@ impl StickChain {
         self.grower.grow(field, &self.sticks);
         self.curves.find(field, &self.sticks, &mut self.grower, &config.limits);
         labels.clear();
-        labels.extend(
-            self.sticks
-                .of_cell
-                .iter()
-                .map(|&s| if s == NO_STICK { 0 } else { self.grower.region_of[s as usize] }),
-        );
+        labels.resize(field.len(), 0);
+        self.sticks.paint(labels, |stick| self.grower.region_of[stick]);
         self.grown.clone_from(labels);
         observe(Stage::Fill);
         self.rivals.clear();
@@ -69,8 +70,7 @@ impl StickChain {
         }
         self.competition.settle(field, &self.rivals, labels);
         self.merge(field, labels);
-        self.competition.settle_again(field, &self.rivals, labels);
-        self.settled.clone_from(labels);
+        self.competition.settle_again(field, &self.rivals, labels, &self.changed);
         observe(Stage::Split);
         Found {
             moments: &self.moments,
@@ -97,20 +97,28 @@ impl StickChain {
         self.merger
             .merge(&mut self.moments, &field.errors, |label| models[label as usize].is_none());
         self.merger.follow(labels);
+        self.changed.clear();
+        self.changed.resize(self.rivals.len(), false);
         for (label, rival) in self.rivals.iter_mut().enumerate() {
             if let Rival::Plane(q) = rival {
-                *q = self.moments[label].solve().map(|v| v as f32);
+                let moments = &self.moments[label];
+                let solved = moments.solve();
+                let moved: [f64; 3] = std::array::from_fn(|i| solved[i] - f64::from(q[i]));
+                self.changed[label] = self.merger.has_grown(label as u32)
+                    || moments.square(&moved) > MOVED * MOVED * moments.n;
+                *q = solved.map(|v| v as f32);
             }
         }
     }
 
-    /// The stages as pictures, in field order.
-    pub fn images(&self) -> Vec<StageImage> {
-        let sticks = self.sticks.of_cell.iter().map(|&s| if s == NO_STICK { 0 } else { s + 1 });
+    /// The stages as pictures, in field order; `labels` are those that the chain found.
+    pub fn images(&self, labels: &[u32]) -> Vec<StageImage> {
+        let mut sticks = vec![0; self.grown.len()];
+        self.sticks.paint(&mut sticks, |stick| stick as u32 + 1);
         vec![
-            StageImage::labels("sticks", sticks.collect()),
+            StageImage::labels("sticks", sticks),
             StageImage::labels("grown", self.grown.clone()),
-            StageImage::labels("settled", self.settled.clone()),
+            StageImage::labels("settled", labels.to_vec()),
         ]
     }
 }

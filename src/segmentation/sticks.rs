@@ -5,15 +5,17 @@
 //! in its own lane, however narrow the surface, and edges along the lanes lie between sticks by
 //! construction.
 
-use super::cut::Cutter;
+use super::cut::{Cutter, LONGEST};
 use super::field::Field;
 use super::moments::Moments;
 use std::ops::Range;
 
 /// Most cells without a return between two sticks of a lane that are still neighbours.
 const BRIDGED: u32 = 2;
-/// No stick.
-pub(super) const NO_STICK: u32 = u32::MAX;
+
+/// Whole steps from the first of so many to the nearer of the two points that stand for them, where
+/// they are evenly spaced: `(n - 1) / 2 - √((n² - 1) / 12)`.
+const INNER: [usize; LONGEST + 1] = [0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2];
 
 /// A run of cells on one lane, `first..=last` steps, all of them valid.
 #[derive(Clone, Copy, Debug)]
@@ -26,6 +28,8 @@ pub(super) struct Stick {
     pub ends: [[f64; 3]; 2],
     /// Weight `r² / σ²` of each end, times half the number of readings.
     pub weight: f64,
+    /// The same of one reading.
+    pub gain: f64,
     /// Number of readings.
     pub n: f64,
     /// Sum of squared errors of the readings about the line, in units of their noise.
@@ -46,8 +50,6 @@ impl Stick {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sticks {
     pub sticks: Vec<Stick>,
-    /// Stick of each cell.
-    pub of_cell: Vec<u32>,
     cutter: Cutter,
     /// First stick of each lane, and the end of the last.
     starts: Vec<u32>,
@@ -55,6 +57,8 @@ pub(super) struct Sticks {
     beside: Vec<[Range<u32>; 2]>,
     /// Sums of the positions of the steps and of their squares, up to each step.
     sums: Vec<[f64; 2]>,
+    /// One over the difference of the positions of each step and the next.
+    per_gap: Vec<f32>,
 }
 
 impl Sticks {
@@ -69,6 +73,8 @@ impl Sticks {
             sum = [sum[0] + position, sum[1] + position * position];
             self.sums.push(sum);
         }
+        self.per_gap.clear();
+        self.per_gap.extend(field.positions.windows(2).map(|pair| 1.0 / (pair[1] - pair[0])));
         self.collect(field);
         self.link();
     }
@@ -78,8 +84,6 @@ impl Sticks {
         let (steps, lanes) = (field.steps, field.lanes);
         self.sticks.clear();
         self.starts.clear();
-        self.of_cell.clear();
-        self.of_cell.resize(steps * lanes, NO_STICK);
         for lane in 0..lanes {
             let begin = self.sticks.len();
             self.starts.push(begin as u32);
@@ -94,15 +98,21 @@ impl Sticks {
                 end = first;
             }
             self.sticks[begin..].reverse();
-            for (k, stick) in self.sticks[begin..].iter().enumerate() {
-                let first = stick.first as usize * lanes + lane;
-                let count = stick.n as usize;
-                for row in self.of_cell[first..].chunks_mut(lanes).take(count) {
-                    row[0] = (begin + k) as u32;
-                }
-            }
         }
         self.starts.push(self.sticks.len() as u32);
+    }
+
+    /// Gives the cells of each stick a label, in an image as wide as there are lanes.
+    pub fn paint(&self, labels: &mut [u32], label_of: impl Fn(usize) -> u32) {
+        let lanes = self.starts.len().saturating_sub(1);
+        for (s, stick) in self.sticks.iter().enumerate() {
+            let label = label_of(s);
+            let mut cell = stick.first as usize * lanes + stick.lane as usize;
+            for _ in stick.first..stick.last + 1 {
+                labels[cell] = label;
+                cell += lanes;
+            }
+        }
     }
 
     /// Finds which sticks of neighbouring lanes touch.
@@ -166,10 +176,11 @@ impl Sticks {
         let anchor = f64::from(inverse[0]);
         let origin = f64::from(field.positions[first]);
         let (mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0);
-        let readings = inverse.chunks(apart).zip(&field.positions[first..=last]);
-        for (inverse, &position) in readings {
-            let f = f64::from(inverse[0]) - anchor;
+        let mut at = 0;
+        for &position in &field.positions[first..=last] {
+            let f = f64::from(inverse[at]) - anchor;
             let t = f64::from(position) - origin;
+            at += apart;
             f1 += f;
             tf += t * f;
             f2 += f * f;
@@ -185,9 +196,11 @@ impl Sticks {
         let reach = (scatter * share).sqrt();
         let left = (f2 - f1 * mean_f - slope * product).max(0.0);
         let middle = anchor + mean_f;
-        let ends = [-reach, reach].map(|t| {
+        let guess = INNER[count];
+        let guesses = [guess, count.saturating_sub(2 + guess)];
+        let ends = [(-reach, guesses[0]), (reach, guesses[1])].map(|(t, guess)| {
             let range = 1.0 / (middle + slope * t);
-            ray_at(field, lane, first, last, origin + mean_t + t).map(|u| u * range)
+            self.ray_at(field, lane, [first, last], mean_t + t, guess).map(|u| u * range)
         });
         // The gain changes smoothly along a stick.
         let [a, b, c] = [first, first + count / 2, last].map(|step| field.weight(cell(step)));
@@ -199,32 +212,46 @@ impl Sticks {
             last: last as u32,
             ends,
             weight: 0.5 * gain * n,
+            gain,
             n,
             error: left * range * range * gain,
         }
     }
-}
 
-/// The ray at a position between two steps of a lane.
-fn ray_at(field: &Field, lane: usize, first: usize, last: usize, position: f64) -> [f64; 3] {
-    let ray = |step: usize| {
-        let cell = step * field.lanes + lane;
-        [field.x[cell], field.y[cell], field.z[cell]].map(|v| v * field.inverse[cell])
-    };
-    // Steps are about evenly spaced: the search is short from there.
-    let away = (position - f64::from(field.positions[first])) / f64::from(field.along_rad);
-    let mut step = (first + away.max(0.0) as usize).min(last.saturating_sub(1)).max(first);
-    while step > first && f64::from(field.positions[step]) >= position {
-        step -= 1;
+    /// The ray of a lane at a position between two steps, which counts from the first; `guess` is
+    /// where between them that is about.
+    fn ray_at(
+        &self,
+        field: &Field,
+        lane: usize,
+        [first, last]: [usize; 2],
+        position: f64,
+        guess: usize,
+    ) -> [f64; 3] {
+        let lanes = field.lanes;
+        let at = first * lanes + lane;
+        if first == last {
+            let inverse = field.inverse[at];
+            return [field.x[at], field.y[at], field.z[at]].map(|v| f64::from(v * inverse));
+        }
+        let positions = &field.positions[first..=last];
+        let position = position as f32 + positions[0];
+        let mut step = guess.min(last - first - 1);
+        while step > 0 && positions[step] >= position {
+            step -= 1;
+        }
+        while step + 1 < last - first && positions[step + 1] < position {
+            step += 1;
+        }
+        let share = (position - positions[step]) * self.per_gap[first + step];
+        let share = share.clamp(0.0, 1.0);
+        // Of one line between two rays, whose parts are inverse ranges times coordinates.
+        let (a, b) = (at + step * lanes, at + (step + 1) * lanes);
+        let (u, v) = ((1.0 - share) * field.inverse[a], share * field.inverse[b]);
+        [
+            f64::from(u * field.x[a] + v * field.x[b]),
+            f64::from(u * field.y[a] + v * field.y[b]),
+            f64::from(u * field.z[a] + v * field.z[b]),
+        ]
     }
-    while step + 1 < last && f64::from(field.positions[step + 1]) < position {
-        step += 1;
-    }
-    if step == last {
-        return ray(step).map(f64::from);
-    }
-    let (a, b) = (f64::from(field.positions[step]), f64::from(field.positions[step + 1]));
-    let share = ((position - a) / (b - a)).clamp(0.0, 1.0) as f32;
-    let (u, v) = (ray(step), ray(step + 1));
-    std::array::from_fn(|i| f64::from(u[i] + share * (v[i] - u[i])))
 }

@@ -4,8 +4,10 @@ use super::super::config::ShapeLimits;
 use super::super::noise::ReadingErrors;
 use super::cylinder::{CylinderFit, fit_cylinder, improve_cylinder, settle_cylinder};
 use super::plane::fit_plane;
+use super::round::capped_error_of;
 use super::sphere::{SphereFit, fit_sphere, improve_sphere, settle_sphere};
 use super::{CAP, Fitted, Model, PlaneFit, Readings};
+use super::{cylinder, sphere};
 use nalgebra::{Matrix4, Matrix5, Point3, Unit, Vector3};
 
 /// Excess of a plane's mean square error that imperfect surfaces and a wrong noise level explain.
@@ -179,12 +181,18 @@ fn fitted_sphere(sphere: SphereFit) -> Fitted {
 }
 
 fn capped_error(readings: &Readings, model: &Model) -> f64 {
-    (0..readings.len())
-        .map(|i| {
-            let e = model.error(&readings.points[i], &readings.rays[i], readings.sigmas[i]);
-            (e * e).min(CAP * CAP)
-        })
-        .sum()
+    let round = match model {
+        Model::Sphere { centre, radius_m } => sphere::round_of(centre, *radius_m),
+        Model::Cylinder { foot, axis, radius_m } => cylinder::round_of(foot, axis, *radius_m),
+        Model::Plane { .. } => {
+            let errors = (0..readings.len()).map(|i| {
+                let (point, ray) = (&readings.points[i], &readings.rays[i]);
+                model.error(point, ray, readings.sigmas[i])
+            });
+            return errors.map(|e| (e * e).min(CAP * CAP)).sum();
+        }
+    };
+    capped_error_of(&readings.rays_by_column, round)
 }
 
 /// Whether `count` errors on a plane, whose squares cut at [`CAP`]² sum up to `error`, are not those

@@ -1,10 +1,8 @@
 //! The circular cylinder of any axis: starts from candidate axes, then Gauss-Newton on the distance.
 
 use super::plane::largest_positive;
-use super::{
-    CONVERGED, FEW_ROUNDS, LEAST_COSINE, Model, NormalSums, Phase, RAY_ROUNDS, RIM_COSINE,
-    Readings, START_READINGS, STRAY,
-};
+use super::round::{Round, RoundSums, sum_round};
+use super::{CONVERGED, FEW_ROUNDS, Model, Phase, RAY_ROUNDS, Readings, START_READINGS, STRAY};
 use nalgebra::{Matrix3, Matrix5, Vector3};
 
 const ROUNDS: usize = 10;
@@ -113,26 +111,11 @@ fn circle_across(
     mean_square.is_finite().then_some(Start { axis, foot, radius_m, mean_square })
 }
 
-/// Range at which a ray from the origin enters a cylinder, the normal there and the height along the
-/// axis above its foot.
-fn hit(
-    foot: &Vector3<f64>,
-    axis: &Vector3<f64>,
-    radius_m: f64,
-    ray: &Vector3<f64>,
-) -> Option<(f64, Vector3<f64>, f64)> {
-    let lengthwise = axis.dot(ray);
-    let across = ray - axis * lengthwise;
-    let centre = foot - axis * axis.dot(foot);
-    let speed = across.norm_squared();
-    let middle = across.dot(&centre);
-    let square = middle * middle - speed * (centre.norm_squared() - radius_m * radius_m);
-    if square <= 0.0 {
-        return None;
-    }
-    let range = (middle - square.sqrt()) / speed;
-    let n = (across * range - centre) / radius_m;
-    Some((range, n, lengthwise * range - axis.dot(foot)))
+/// A cylinder as the rounds take it.
+pub(super) fn round_of(foot: &Vector3<f64>, axis: &Vector3<f64>, radius_m: f64) -> Round {
+    let (e1, e2) = across(axis);
+    let sides = [e1.into(), e2.into(), [0.0; 3]];
+    Round { foot: (*foot).into(), axis: (*axis).into(), radius_m, sides }
 }
 
 fn refine(
@@ -149,39 +132,10 @@ fn refine(
         let stride = phase.stride(round, readings);
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
-        let mut sums = NormalSums::<5>::default();
-        let (mut square, mut count) = (0.0, 0.0);
-        for i in (0..readings.len()).step_by(stride) {
-            let (point, ray, sigma) = (&readings.points[i], &readings.rays[i], readings.sigmas[i]);
-            let (n, height, e, cosine) = if phase == Phase::Rays {
-                let Some((range, n, height)) = hit(&foot, &axis, radius_m, ray) else { continue };
-                (n, height, (range - point.dot(ray)) / sigma, -n.dot(ray))
-            } else {
-                let d = point - foot;
-                let height = axis.dot(&d);
-                let radial = d - axis * height;
-                let length = radial.norm().max(1e-9);
-                let n = radial / length;
-                let cosine = n.dot(ray).abs().max(LEAST_COSINE);
-                // An error along the ray also leads away from the surface that bends back from it.
-                let lengthwise = axis.dot(ray);
-                let across = (1.0 - lengthwise * lengthwise - cosine * cosine).max(0.0);
-                let bend = 0.5 * sigma * sigma * across / length;
-                (n, height, (length - radius_m - bend) / (sigma * cosine), cosine)
-            };
-            let rim = phase != Phase::Start && cosine < RIM_COSINE;
-            if rim || e.abs() > phase.gate() {
-                continue;
-            }
-            let scale = 1.0 / (sigma * cosine);
-            // Moving the axis by a and tilting it by b (per metre of height) moves it at the
-            // reading by a + height b; the distance falls by that along n, and by the radius.
-            let (n1, n2) = (n.dot(&e1) * scale, n.dot(&e2) * scale);
-            sums.add([n1, n2, height * n1, height * n2, scale], e);
-            square += e * e;
-            count += 1.0;
-        }
-        let (normal, right) = (sums.normal(), sums.right());
+        let round = round_of(&foot, &axis, radius_m);
+        let RoundSums { normal, square, count } =
+            sum_round::<5>(&readings.rays_by_column, round, phase, stride);
+        let (normal, right) = (normal.normal(), normal.right());
         let Some(decomposed) = normal.cholesky() else { break };
         let inverse = decomposed.inverse();
         let correction = inverse * right;

@@ -8,6 +8,7 @@
 mod choose;
 mod cylinder;
 mod plane;
+mod round;
 mod sphere;
 mod sums;
 
@@ -15,6 +16,8 @@ pub(super) use choose::{choose, improve_model, is_flat, settle, settle_known, se
 pub(super) use cylinder::across;
 pub(super) use plane::{PlaneFit, centroid_of, fit_plane, plane_of};
 pub(super) use sums::{Columns, PlaneSums, Reference, place::ERROR as SUMMED_ERROR};
+
+use round::RayColumns;
 
 use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, SMatrix, SVector, Unit, Vector3};
 
@@ -100,24 +103,7 @@ struct NormalSums<const N: usize> {
     right: [f64; N],
 }
 
-impl<const N: usize> Default for NormalSums<N> {
-    fn default() -> Self {
-        Self { products: [[0.0; N]; N], right: [0.0; N] }
-    }
-}
-
 impl<const N: usize> NormalSums<N> {
-    /// Adds a reading of error `e` with the derivatives `j`.
-    #[inline(always)]
-    fn add(&mut self, j: [f64; N], e: f64) {
-        for a in 0..N {
-            for b in a..N {
-                self.products[a][b] += j[a] * j[b];
-            }
-            self.right[a] += j[a] * e;
-        }
-    }
-
     fn normal(&self) -> SMatrix<f64, N, N> {
         SMatrix::from_fn(|a, b| self.products[a.min(b)][a.max(b)])
     }
@@ -140,6 +126,8 @@ pub(super) struct Readings {
     pub core: Vec<bool>,
     /// Coordinates, inverse ranges and gains as the sums of a plane read them.
     columns: [Vec<f32>; 6],
+    /// Points, rays and deviations once more, as the rounds of an iteration read them.
+    rays_by_column: RayColumns,
 }
 
 impl Readings {
@@ -148,12 +136,15 @@ impl Readings {
         self.rays.clear();
         self.sigmas.clear();
         self.core.clear();
+        self.rays_by_column.clear();
     }
 
     pub fn push(&mut self, point: [f64; 3], inverse: f64, sigma: f64, core: bool) {
         let point = Vector3::from(point);
+        let ray = point * inverse;
         self.points.push(point);
-        self.rays.push(point * inverse);
+        self.rays.push(ray);
+        self.rays_by_column.push(point.into(), ray.into(), sigma);
         self.sigmas.push(sigma);
         self.core.push(core);
     }

@@ -1,9 +1,7 @@
 //! The sphere: an algebraic start, then Gauss-Newton on the distance.
 
-use super::{
-    CONVERGED, FEW_ROUNDS, LEAST_COSINE, Model, NormalSums, Phase, RAY_ROUNDS, RIM_COSINE,
-    Readings, STRAY,
-};
+use super::round::{Round, RoundSums, sum_round};
+use super::{CONVERGED, FEW_ROUNDS, Model, Phase, RAY_ROUNDS, Readings, STRAY};
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 const ROUNDS: usize = 8;
@@ -51,33 +49,10 @@ fn refine(
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
-        let mut sums = NormalSums::<4>::default();
-        let (mut square, mut count) = (0.0, 0.0);
-        for i in (0..readings.len()).step_by(stride) {
-            let (point, ray, sigma) = (&readings.points[i], &readings.rays[i], readings.sigmas[i]);
-            let (n, e, cosine) = if phase == Phase::Rays {
-                let Some((range, n)) = hit(&centre, radius_m, ray) else { continue };
-                (n, (range - point.dot(ray)) / sigma, -n.dot(ray))
-            } else {
-                let radial = point - centre;
-                let length = radial.norm().max(1e-9);
-                let n = radial / length;
-                let cosine = n.dot(ray).abs().max(LEAST_COSINE);
-                // An error along the ray also leads away from the surface that bends back from it.
-                let bend = 0.5 * sigma * sigma * (1.0 - cosine * cosine) / length;
-                (n, (length - radius_m - bend) / (sigma * cosine), cosine)
-            };
-            let rim = phase != Phase::Start && cosine < RIM_COSINE;
-            if rim || e.abs() > phase.gate() {
-                continue;
-            }
-            let scale = 1.0 / (sigma * cosine);
-            // Derivative of the distance: -n for the centre, -1 for the radius.
-            sums.add([n.x * scale, n.y * scale, n.z * scale, scale], e);
-            square += e * e;
-            count += 1.0;
-        }
-        let (normal, right) = (sums.normal(), sums.right());
+        let sums =
+            sum_round::<4>(&readings.rays_by_column, round_of(&centre, radius_m), phase, stride);
+        let RoundSums { normal, square, count } = sums;
+        let (normal, right) = (normal.normal(), normal.right());
         let Some(decomposed) = normal.cholesky() else { break };
         let inverse = decomposed.inverse();
         let correction = inverse * right;
@@ -103,15 +78,10 @@ fn refine(
     Some(SphereFit { centre, radius_m, covariance: fit? })
 }
 
-/// Range at which a ray from the origin enters a sphere, and the normal there.
-fn hit(centre: &Vector3<f64>, radius_m: f64, ray: &Vector3<f64>) -> Option<(f64, Vector3<f64>)> {
-    let middle = ray.dot(centre);
-    let square = radius_m * radius_m - (centre - ray * middle).norm_squared();
-    if square <= 0.0 {
-        return None;
-    }
-    let range = middle - square.sqrt();
-    Some((range, (ray * range - centre) / radius_m))
+/// A sphere as the rounds take it.
+pub(super) fn round_of(centre: &Vector3<f64>, radius_m: f64) -> Round {
+    let sides = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    Round { foot: (*centre).into(), axis: [0.0; 3], radius_m, sides }
 }
 
 /// Least squares of `|p|² - 2 p·c + (|c|² - R²)`, which is linear; biased small on noisy caps, so

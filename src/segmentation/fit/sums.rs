@@ -102,9 +102,10 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
         let Self { reference, columns, runs } = self;
         let [x, y, z] = reference.q;
         let offset_m = 1.0 / (x * x + y * y + z * z).sqrt();
+        let [ax, ay, az] = reference.anchor;
         let about = About {
-            q: reference.q.map(|v| simd.splat_f32s(v)),
-            anchor: reference.anchor.map(|v| simd.splat_f32s(v)),
+            q: [simd.splat_f32s(x), simd.splat_f32s(y), simd.splat_f32s(z)],
+            anchor: [simd.splat_f32s(ax), simd.splat_f32s(ay), simd.splat_f32s(az)],
             least: simd.splat_f32s(offset_m / LEAST_COSINE as f32),
         };
         let mut sums = PlaneSums { reference, totals: [0.0; place::COUNT], readings: 0 };
@@ -113,16 +114,16 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
         for run in runs {
             sums.readings += run.len();
             let Columns { x, y, z, inverse, gain, fit_gain } = columns;
-            let arrays = [x, y, z, inverse, gain, fit_gain].map(|array| &array[run.clone()]);
-            let [x, y, z, inverse, gain, fit_gain] = arrays.map(|array| S::as_simd_f32s(array));
+            let (x, y, z) = (part(simd, x, &run), part(simd, y, &run), part(simd, z, &run));
+            let (inverse, gain) = (part(simd, inverse, &run), part(simd, gain, &run));
+            let fit_gain = part(simd, fit_gain, &run);
             let whole = x.0.iter().zip(y.0).zip(z.0).zip(inverse.0).zip(gain.0).zip(fit_gain.0);
             for (((((&x, &y), &z), &inverse), &gain), &fit_gain) in whole {
                 add(simd, &about, [x, y, z, inverse, gain, fit_gain], &mut block);
             }
             blocks += x.0.len();
-            if !x.1.is_empty() {
-                let rest =
-                    [x, y, z, inverse, gain, fit_gain].map(|array| simd.partial_load_f32s(array.1));
+            if !run.len().is_multiple_of(S::F32_LANES) {
+                let rest = [x.1, y.1, z.1, inverse.1, gain.1, fit_gain.1];
                 add(simd, &about, rest, &mut block);
                 blocks += 1;
             }
@@ -134,6 +135,13 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
         flush(simd, &mut block, &mut sums.totals);
         sums
     }
+}
+
+/// A run of an array: whole vectors, and what is left in one that zeros fill up.
+#[inline(always)]
+fn part<'a, S: Simd>(simd: S, array: &'a [f32], run: &Range<usize>) -> (&'a [S::f32s], S::f32s) {
+    let (whole, rest) = S::as_simd_f32s(&array[run.clone()]);
+    (whole, simd.partial_load_f32s(rest))
 }
 
 /// What sums are taken about, in every place of a vector.
@@ -152,50 +160,67 @@ fn add<S: Simd>(
     [x, y, z, inverse, gain, fit_gain]: [S::f32s; 6],
     sums: &mut [S::f32s; place::COUNT],
 ) {
-    let mul = |a, b| simd.mul_f32s(a, b);
-    let plus = |sum: &mut S::f32s, value| *sum = simd.add_f32s(*sum, value);
     let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
     let present = simd.greater_than_f32s(inverse, zero);
     let [qx, qy, qz] = about.q;
-    let product = simd.add_f32s(simd.add_f32s(mul(qx, x), mul(qy, y)), mul(qz, z));
+    let product =
+        simd.add_f32s(simd.add_f32s(mul(simd, qx, x), mul(simd, qy, y)), mul(simd, qz, z));
     let s = simd.select_f32s(present, simd.sub_f32s(product, one), zero);
     // Where the ray meets the plane: what follows from it does not depend on the reading's error.
     let near = simd.max_f32s(s, simd.splat_f32s(-FARTHEST));
     let near = simd.min_f32s(near, simd.splat_f32s(FARTHEST));
-    let shrink = simd.sub_f32s(one, mul(near, simd.sub_f32s(one, near)));
+    let shrink = simd.sub_f32s(one, mul(simd, near, simd.sub_f32s(one, near)));
     let [ax, ay, az] = about.anchor;
-    let d = [(x, ax), (y, ay), (z, az)]
-        .map(|(p, anchor)| simd.select_f32s(present, simd.sub_f32s(mul(p, shrink), anchor), zero));
-    let grazing = simd.min_f32s(mul(about.least, inverse), one);
-    let error = mul(mul(s, gain), grazing);
-    let square = mul(error, error);
+    let d = [
+        simd.select_f32s(present, simd.sub_f32s(mul(simd, x, shrink), ax), zero),
+        simd.select_f32s(present, simd.sub_f32s(mul(simd, y, shrink), ay), zero),
+        simd.select_f32s(present, simd.sub_f32s(mul(simd, z, shrink), az), zero),
+    ];
+    let grazing = simd.min_f32s(mul(simd, about.least, inverse), one);
+    let error = mul(simd, mul(simd, s, gain), grazing);
+    let square = mul(simd, error, error);
     let inside = simd.less_than_or_equal_f32s(square, simd.splat_f32s((GATE * GATE) as f32));
-    let weight = mul(mul(fit_gain, shrink), grazing);
-    let w = simd.select_f32s(inside, mul(weight, weight), zero);
+    let weight = mul(simd, mul(simd, fit_gain, shrink), grazing);
+    let w = simd.select_f32s(inside, mul(simd, weight, weight), zero);
     let counted = simd.select_f32s(simd.greater_than_f32s(w, zero), one, zero);
-    let ws = mul(w, s);
-    plus(&mut sums[place::W], w);
-    plus(&mut sums[place::WS], ws);
-    plus(&mut sums[place::WSS], mul(ws, s));
-    plus(&mut sums[place::S], s);
-    plus(&mut sums[place::SS], mul(s, s));
+    let ws = mul(simd, w, s);
+    plus(simd, &mut sums[place::W], w);
+    plus(simd, &mut sums[place::WS], ws);
+    plus_product(simd, &mut sums[place::WSS], ws, s);
+    plus(simd, &mut sums[place::S], s);
+    plus_product(simd, &mut sums[place::SS], s, s);
     let capped = simd.min_f32s(square, simd.splat_f32s((CAP * CAP) as f32));
-    plus(&mut sums[place::ERROR], capped);
-    plus(&mut sums[place::INLIERS], counted);
-    plus(&mut sums[place::GAIN], mul(gain, gain));
+    plus(simd, &mut sums[place::ERROR], capped);
+    plus(simd, &mut sums[place::INLIERS], counted);
+    plus_product(simd, &mut sums[place::GAIN], gain, gain);
     let mut pair = 0;
     for i in 0..3 {
-        plus(&mut sums[place::WD + i], mul(w, d[i]));
-        plus(&mut sums[place::WSD + i], mul(ws, d[i]));
-        plus(&mut sums[place::D + i], d[i]);
-        plus(&mut sums[place::SD + i], mul(s, d[i]));
+        plus_product(simd, &mut sums[place::WD + i], w, d[i]);
+        plus_product(simd, &mut sums[place::WSD + i], ws, d[i]);
+        plus(simd, &mut sums[place::D + i], d[i]);
+        plus_product(simd, &mut sums[place::SD + i], s, d[i]);
         for j in i..3 {
-            let product = mul(d[i], d[j]);
-            plus(&mut sums[place::WDD + pair], mul(w, product));
-            plus(&mut sums[place::DD + pair], product);
+            let product = mul(simd, d[i], d[j]);
+            plus_product(simd, &mut sums[place::WDD + pair], w, product);
+            plus(simd, &mut sums[place::DD + pair], product);
             pair += 1;
         }
     }
+}
+
+#[inline(always)]
+fn mul<S: Simd>(simd: S, a: S::f32s, b: S::f32s) -> S::f32s {
+    simd.mul_f32s(a, b)
+}
+
+#[inline(always)]
+fn plus_product<S: Simd>(simd: S, sum: &mut S::f32s, a: S::f32s, b: S::f32s) {
+    *sum = simd.mul_add_e_f32s(a, b, *sum);
+}
+
+#[inline(always)]
+fn plus<S: Simd>(simd: S, sum: &mut S::f32s, value: S::f32s) {
+    *sum = simd.add_f32s(*sum, value);
 }
 
 /// Moves what was added in single precision to the totals.

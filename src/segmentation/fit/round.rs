@@ -1,0 +1,322 @@
+//! What one round of an iteration on a sphere or a cylinder needs of the readings, a vector of them at
+//! a time.
+//!
+//! A sphere is taken as a cylinder whose axis is zero: all that differs is what its parameters move.
+
+use super::{CAP, LEAST_COSINE, NormalSums, Phase, RIM_COSINE};
+use pulp::{Arch, Scalar128b, Simd, WithSimd};
+
+/// Readings as arrays: points, rays and one over the standard deviation of the range.
+#[derive(Clone, Debug, Default)]
+pub(super) struct RayColumns {
+    values: [Vec<f64>; 7],
+}
+
+impl RayColumns {
+    pub fn clear(&mut self) {
+        for column in &mut self.values {
+            column.clear();
+        }
+    }
+
+    pub fn push(&mut self, point: [f64; 3], ray: [f64; 3], sigma: f64) {
+        let ([x, y, z], [u, v, w]) = (point, ray);
+        for (column, value) in self.values.iter_mut().zip([x, y, z, u, v, w, 1.0 / sigma]) {
+            column.push(value);
+        }
+    }
+}
+
+/// A sphere about `foot`, or a cylinder about the line through `foot` along the unit vector `axis`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Round {
+    pub foot: [f64; 3],
+    /// Zero for a sphere.
+    pub axis: [f64; 3],
+    pub radius_m: f64,
+    /// Directions in which the parameters move the surface: the coordinate axes for a sphere, two
+    /// perpendicular to its axis for a cylinder.
+    pub sides: [[f64; 3]; 3],
+}
+
+/// What the readings of a round add up to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RoundSums<const N: usize> {
+    pub normal: NormalSums<N>,
+    /// Squared errors of the readings that count, and their number.
+    pub square: f64,
+    pub count: f64,
+}
+
+/// Sums over every so-many-th vector of readings.
+///
+/// With N = 4 the parameters are a sphere's centre and radius. With N = 5 they are a cylinder's: moving
+/// the axis by a and tilting it by b (per metre of height) moves it at a reading by a + height b; the
+/// distance falls by that along the normal, and by the radius.
+pub(super) fn sum_round<const N: usize>(
+    columns: &RayColumns,
+    round: Round,
+    phase: Phase,
+    stride: usize,
+) -> RoundSums<N> {
+    run(Sum::<N> { columns, round, phase, stride })
+}
+
+/// Sum of the squared errors across a surface, each cut at [`CAP`].
+pub(super) fn capped_error_of(columns: &RayColumns, round: Round) -> f64 {
+    run(Capped { columns, round })
+}
+
+fn run<W: WithSimd>(work: W) -> W::Output {
+    match Arch::new() {
+        Arch::Scalar => Scalar128b.vectorize(work),
+        arch => arch.dispatch(work),
+    }
+}
+
+struct Sum<'a, const N: usize> {
+    columns: &'a RayColumns,
+    round: Round,
+    phase: Phase,
+    stride: usize,
+}
+
+struct Capped<'a> {
+    columns: &'a RayColumns,
+    round: Round,
+}
+
+/// A vector of readings; places without one have zeros.
+#[derive(Clone, Copy)]
+struct Readings<V> {
+    point: [V; 3],
+    ray: [V; 3],
+    per_sigma: V,
+}
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, columns: &RayColumns, at: usize) -> Readings<S::f64s> {
+    let [x, y, z, u, v, w, per_sigma] = &columns.values;
+    Readings {
+        point: [one(simd, x, at), one(simd, y, at), one(simd, z, at)],
+        ray: [one(simd, u, at), one(simd, v, at), one(simd, w, at)],
+        per_sigma: one(simd, per_sigma, at),
+    }
+}
+
+#[inline(always)]
+fn one<S: Simd>(simd: S, column: &[f64], at: usize) -> S::f64s {
+    let (whole, rest) = S::as_simd_f64s(column);
+    match whole.get(at) {
+        Some(&vector) => vector,
+        None => simd.partial_load_f64s(rest),
+    }
+}
+
+#[inline(always)]
+fn vectors<S: Simd>(columns: &RayColumns) -> usize {
+    columns.values[0].len().div_ceil(S::F64_LANES)
+}
+
+#[inline(always)]
+fn splat<S: Simd>(simd: S, [x, y, z]: [f64; 3]) -> [S::f64s; 3] {
+    [simd.splat_f64s(x), simd.splat_f64s(y), simd.splat_f64s(z)]
+}
+
+#[inline(always)]
+fn dot<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3]) -> S::f64s {
+    let xy = simd.mul_add_e_f64s(a[0], b[0], simd.mul_f64s(a[1], b[1]));
+    simd.mul_add_e_f64s(a[2], b[2], xy)
+}
+
+/// `a - b · factor`.
+#[inline(always)]
+fn less<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3], factor: S::f64s) -> [S::f64s; 3] {
+    [
+        simd.sub_f64s(a[0], simd.mul_f64s(b[0], factor)),
+        simd.sub_f64s(a[1], simd.mul_f64s(b[1], factor)),
+        simd.sub_f64s(a[2], simd.mul_f64s(b[2], factor)),
+    ]
+}
+
+#[inline(always)]
+fn scaled<S: Simd>(simd: S, a: [S::f64s; 3], factor: S::f64s) -> [S::f64s; 3] {
+    [simd.mul_f64s(a[0], factor), simd.mul_f64s(a[1], factor), simd.mul_f64s(a[2], factor)]
+}
+
+/// A surface in every place of a vector.
+struct Splat<V> {
+    foot: [V; 3],
+    axis: [V; 3],
+    radius: V,
+    per_radius: V,
+    one: V,
+}
+
+#[inline(always)]
+fn spread<S: Simd>(simd: S, round: &Round) -> Splat<S::f64s> {
+    Splat {
+        foot: splat(simd, round.foot),
+        axis: splat(simd, round.axis),
+        radius: simd.splat_f64s(round.radius_m),
+        per_radius: simd.splat_f64s(1.0 / round.radius_m),
+        one: simd.splat_f64s(1.0),
+    }
+}
+
+/// How readings lie to a surface.
+struct Seen<V> {
+    /// Normals, heights along the axis above the foot, and cosines of incidence.
+    normal: [V; 3],
+    height: V,
+    cosine: V,
+    /// Error across the surface or along the ray, in metres along the ray.
+    error_m: V,
+}
+
+/// By their distance. With `bends` the surface's bend is allowed for: an error along the ray also
+/// leads away from the surface that bends back from it.
+#[inline(always)]
+fn across<S: Simd>(
+    simd: S,
+    surface: &Splat<S::f64s>,
+    readings: &Readings<S::f64s>,
+    bends: bool,
+) -> Seen<S::f64s> {
+    let d = less(simd, readings.point, surface.foot, surface.one);
+    let height = dot(simd, surface.axis, d);
+    let radial = less(simd, d, surface.axis, height);
+    let length = simd.sqrt_f64s(dot(simd, radial, radial));
+    let length = simd.max_f64s(length, simd.splat_f64s(1e-9));
+    let per_length = simd.div_f64s(surface.one, length);
+    let normal = scaled(simd, radial, per_length);
+    let cosine = simd.abs_f64s(dot(simd, normal, readings.ray));
+    let cosine = simd.max_f64s(cosine, simd.splat_f64s(LEAST_COSINE));
+    let mut distance = simd.sub_f64s(length, surface.radius);
+    if bends {
+        let lengthwise = dot(simd, surface.axis, readings.ray);
+        let along =
+            simd.add_f64s(simd.mul_f64s(lengthwise, lengthwise), simd.mul_f64s(cosine, cosine));
+        let sideways = simd.max_f64s(simd.sub_f64s(surface.one, along), simd.splat_f64s(0.0));
+        // Places without a reading have an infinite deviation here, and do not count.
+        let sigma = simd.div_f64s(surface.one, readings.per_sigma);
+        let variance = simd.mul_f64s(simd.mul_f64s(sigma, sigma), simd.splat_f64s(0.5));
+        let bend = simd.mul_f64s(simd.mul_f64s(variance, sideways), per_length);
+        distance = simd.sub_f64s(distance, bend);
+    }
+    Seen { normal, height, cosine, error_m: simd.div_f64s(distance, cosine) }
+}
+
+/// By where their rays enter it, and whether they do.
+#[inline(always)]
+fn along<S: Simd>(
+    simd: S,
+    surface: &Splat<S::f64s>,
+    readings: &Readings<S::f64s>,
+) -> (Seen<S::f64s>, S::m64s) {
+    let lengthwise = dot(simd, surface.axis, readings.ray);
+    let sideways = less(simd, readings.ray, surface.axis, lengthwise);
+    let foot_height = dot(simd, surface.axis, surface.foot);
+    let centre = less(simd, surface.foot, surface.axis, foot_height);
+    let speed = dot(simd, sideways, sideways);
+    let middle = dot(simd, sideways, centre);
+    let beside = less(simd, scaled(simd, centre, speed), sideways, middle);
+    // Of the circle, in units of the speed: R² less the square of how far the ray passes its centre.
+    let per_speed = simd.div_f64s(surface.one, speed);
+    let passes = scaled(simd, beside, per_speed);
+    let square =
+        simd.sub_f64s(simd.mul_f64s(surface.radius, surface.radius), dot(simd, passes, passes));
+    let enters = simd.greater_than_f64s(square, simd.splat_f64s(0.0));
+    let reach = simd.sqrt_f64s(simd.mul_f64s(square, speed));
+    let range = simd.mul_f64s(simd.sub_f64s(middle, reach), per_speed);
+    let from_centre = less(simd, scaled(simd, sideways, range), centre, surface.one);
+    let normal = scaled(simd, from_centre, surface.per_radius);
+    let cosine = simd.neg_f64s(dot(simd, normal, readings.ray));
+    let height = simd.sub_f64s(simd.mul_f64s(lengthwise, range), foot_height);
+    let error_m = simd.sub_f64s(range, dot(simd, readings.point, readings.ray));
+    (Seen { normal, height, cosine, error_m }, enters)
+}
+
+impl<const N: usize> WithSimd for Sum<'_, N> {
+    type Output = RoundSums<N>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> RoundSums<N> {
+        let Self { columns, round, phase, stride } = self;
+        let surface = spread(simd, &round);
+        let [e1, e2, e3] = round.sides;
+        let sides = [splat(simd, e1), splat(simd, e2), splat(simd, e3)];
+        let zero = simd.splat_f64s(0.0);
+        let (gate, rim) = (simd.splat_f64s(phase.gate()), simd.splat_f64s(RIM_COSINE));
+        let mut products = [[zero; N]; N];
+        let mut right = [zero; N];
+        let (mut square, mut count) = (zero, zero);
+        for at in (0..vectors::<S>(columns)).step_by(stride) {
+            let readings = load(simd, columns, at);
+            let mut counts = simd.greater_than_f64s(readings.per_sigma, zero);
+            let seen = if phase == Phase::Rays {
+                let (seen, enters) = along(simd, &surface, &readings);
+                counts = simd.and_m64s(counts, enters);
+                seen
+            } else {
+                across(simd, &surface, &readings, true)
+            };
+            let error = simd.mul_f64s(seen.error_m, readings.per_sigma);
+            let inside = simd.less_than_or_equal_f64s(simd.abs_f64s(error), gate);
+            counts = simd.and_m64s(counts, inside);
+            if phase != Phase::Start {
+                let steep = simd.greater_than_or_equal_f64s(seen.cosine, rim);
+                counts = simd.and_m64s(counts, steep);
+            }
+            let error = simd.select_f64s(counts, error, zero);
+            let scale = simd.div_f64s(readings.per_sigma, seen.cosine);
+            let mut derivatives = [zero; N];
+            for k in 0..if N == 4 { 3 } else { 2 } {
+                let moved = simd.mul_f64s(dot(simd, seen.normal, sides[k]), scale);
+                derivatives[k] = simd.select_f64s(counts, moved, zero);
+                if N == 5 {
+                    let tilted = simd.mul_f64s(seen.height, moved);
+                    derivatives[k + 2] = simd.select_f64s(counts, tilted, zero);
+                }
+            }
+            derivatives[N - 1] = simd.select_f64s(counts, scale, zero);
+            for (a, &own) in derivatives.iter().enumerate() {
+                for (sum, &other) in products[a].iter_mut().zip(&derivatives).skip(a) {
+                    *sum = simd.mul_add_e_f64s(own, other, *sum);
+                }
+                right[a] = simd.mul_add_e_f64s(own, error, right[a]);
+            }
+            square = simd.mul_add_e_f64s(error, error, square);
+            count = simd.add_f64s(count, simd.select_f64s(counts, surface.one, zero));
+        }
+        let mut normal = NormalSums { products: [[0.0; N]; N], right: [0.0; N] };
+        for a in 0..N {
+            for b in a..N {
+                normal.products[a][b] = simd.reduce_sum_f64s(products[a][b]);
+            }
+            normal.right[a] = simd.reduce_sum_f64s(right[a]);
+        }
+        let (square, count) = (simd.reduce_sum_f64s(square), simd.reduce_sum_f64s(count));
+        RoundSums { normal, square, count }
+    }
+}
+
+impl WithSimd for Capped<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let Self { columns, round } = self;
+        let surface = spread(simd, &round);
+        let mut sum = simd.splat_f64s(0.0);
+        for at in 0..vectors::<S>(columns) {
+            let readings = load(simd, columns, at);
+            let seen = across(simd, &surface, &readings, false);
+            // Nothing where there is no reading.
+            let error = simd.mul_f64s(seen.error_m, readings.per_sigma);
+            let square = simd.min_f64s(simd.mul_f64s(error, error), simd.splat_f64s(CAP * CAP));
+            sum = simd.add_f64s(sum, square);
+        }
+        simd.reduce_sum_f64s(sum)
+    }
+}
