@@ -290,9 +290,9 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
             count = simd.add_f64s(count, simd.select_f64s(counts, surface.one, zero));
         }
         let mut normal = NormalSums { products: [[0.0; N]; N], right: [0.0; N] };
-        for a in 0..N {
-            for b in a..N {
-                normal.products[a][b] = simd.reduce_sum_f64s(products[a][b]);
+        for (a, (row, lanes)) in normal.products.iter_mut().zip(&products).enumerate() {
+            for (sum, &lanes) in row.iter_mut().zip(lanes).skip(a) {
+                *sum = simd.reduce_sum_f64s(lanes);
             }
             normal.right[a] = simd.reduce_sum_f64s(right[a]);
         }
