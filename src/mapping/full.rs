@@ -27,7 +27,8 @@ pub struct FullConfig {
 /// How much worse than told odometry may be before the scan is no longer believed: the motion's
 /// standard deviations are widened by this when a scan does not fit the map.
 const WIDENING: f64 = 6.5;
-/// Pairs below which a scan is tried again with a widened motion.
+/// Pairs below which a scan is tried again with a widened motion; so is one that misses a landmark in a
+/// direction that nothing else fixes.
 const FEW_PAIRS: usize = 3;
 /// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
 const LOG_SELDOM: f64 = -7.0;
@@ -154,9 +155,14 @@ impl Full {
         let pairs = found.pairs.len();
         let expected = arrival.scan.observations.len().min(config.anchors) / 3;
         let few = !estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS);
+        let contested = estimate.contested(arrival, config, &plain, found);
         let large = found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD);
         let place = prepared.len();
-        let plainly = !few && !large && plain.assignments.len() == 1 && self.hypotheses.len() == 1;
+        let plainly = !few
+            && !contested
+            && !large
+            && plain.assignments.len() == 1
+            && self.hypotheses.len() == 1;
         if plainly {
             let assignment = found.clone();
             branches.push(Branch { parent, prepared: place, assignment, log_weight: 0.0 });
@@ -188,10 +194,10 @@ impl Full {
             frames: BTreeMap::new(),
         });
         prepared.push(plain);
-        if few {
+        if few || contested {
             let wide = estimate.prepare(arrival, config, WIDENING);
-            let more =
-                |claim: &Claim| claim.assignment.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
+            let enough = if contested { pairs + 1 } else { (2 * pairs).max(FEW_PAIRS + 1) };
+            let more = |claim: &Claim| claim.assignment.pairs.len() >= enough;
             claims.extend(options(&wide, place + 1, LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
         }
