@@ -358,7 +358,8 @@ impl Question<'_> {
     }
 
     /// Whether an observation misses the gate of a plane that it lies on but for the motion's error, in a
-    /// direction that nothing else fixes: the motion may have been worse than told.
+    /// direction over the ground that nothing else fixes: the motion may have been worse than told. A
+    /// floor that is missed is another floor: no wheels lift a robot.
     pub(super) fn contested(&self, assignment: &Assignment, config: &AssociationConfig) -> bool {
         let belief = &assignment.belief;
         let normal = |plane: usize| belief.planes[plane].rotation * Vector3::z();
@@ -367,7 +368,10 @@ impl Question<'_> {
             .iter()
             .map(|&(_, plane)| normal(plane) * normal(plane).transpose())
             .sum();
-        let open = |plane: usize| normal(plane).dot(&(fixed * normal(plane))) < OPEN_SPREAD;
+        let open = |plane: usize| {
+            let normal = normal(plane);
+            normal.z.abs() < LYING_COSINE && normal.dot(&(fixed * normal)) < OPEN_SPREAD
+        };
         let free = (0..self.observations.len())
             .filter(|&free| assignment.pairs.iter().all(|&(taken, _)| taken != free));
         free.flat_map(|observation| {

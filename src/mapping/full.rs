@@ -24,6 +24,8 @@ pub struct FullConfig {
     pub graph: GraphConfig,
 }
 
+/// Further pairs that must agree before a scan that recognises much is held to be off by more than told.
+const AGREEING: usize = 2;
 /// How much worse than told odometry may be before the scan is no longer believed: the motion's
 /// standard deviations are widened by this when a scan does not fit the map.
 const WIDENING: f64 = 6.5;
@@ -196,7 +198,7 @@ impl Full {
         prepared.push(plain);
         if few || contested {
             let wide = estimate.prepare(arrival, config, WIDENING);
-            let enough = if contested { pairs + 1 } else { (2 * pairs).max(FEW_PAIRS + 1) };
+            let enough = if contested { pairs + AGREEING } else { (2 * pairs).max(FEW_PAIRS + 1) };
             let more = |claim: &Claim| claim.assignment.pairs.len() >= enough;
             claims.extend(options(&wide, place + 1, LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);

@@ -56,7 +56,9 @@ fn run(world: &World, mode: Mode, seed: u64, steps: usize) -> Run {
             behind.insert(added.landmark, planes[added.observation]);
         }
         for pair in &report.associations {
-            if behind[&pair.landmark] == planes[pair.observation] {
+            // Another explanation may have become the best, with landmarks of its own.
+            let known = behind.entry(pair.landmark).or_insert(planes[pair.observation]);
+            if *known == planes[pair.observation] {
                 right += 1;
             } else {
                 wrong += 1;
