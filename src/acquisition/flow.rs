@@ -160,6 +160,7 @@ impl Flow {
         if self.is_finished() {
             return None;
         }
+        self.spend(control, now);
         self.remarks.push(why.to_owned());
         let mut actions = Vec::new();
         self.finish(control, now, &mut actions);

@@ -330,7 +330,7 @@ impl Acquisition {
             Activity::Idle | Activity::Parking(_) | Activity::Calibrating(_) => return None,
         };
         match std::mem::replace(&mut self.activity, Activity::Idle) {
-            Activity::Probing(probe) => Some(probe.give_up()),
+            Activity::Probing(probe) => Some(probe.stop(why, now)),
             _ => scan,
         }
     }

@@ -98,9 +98,15 @@ impl Probe {
         } else {
             return None;
         };
-        self.scan.remarks.push(found.to_owned());
-        self.scan.ended = now;
+        self.end(found, now);
         Some(self.scan.clone())
+    }
+
+    /// The turn back was none that rows were taken in.
+    fn end(&mut self, why: &str, now: Arrival) {
+        self.scan.remarks.push(why.to_owned());
+        self.scan.budget.idle_s += (now - self.scan.ended).seconds();
+        self.scan.ended = now;
     }
 
     /// When it must be called again even if nothing arrives.
@@ -109,7 +115,8 @@ impl Probe {
     }
 
     /// The scan, whatever is known.
-    pub(super) fn give_up(self) -> Scan {
+    pub(super) fn stop(mut self, why: &str, now: Arrival) -> Scan {
+        self.end(why, now);
         *self.scan
     }
 }

@@ -33,7 +33,7 @@ pub struct Scan {
     pub driven_m: Option<f64>,
     /// When the first command was sent.
     pub started: Arrival,
-    /// When the last row was filed or given up.
+    /// When the last row was filed or given up, or it was known why no more could be.
     pub ended: Arrival,
     /// What an operator should know, in plain words; empty when all went as told.
     pub remarks: Vec<String>,
@@ -69,7 +69,7 @@ pub struct TimeBudget {
     /// Waiting for the laser, the tilt being where it should, or held back for lines to keep up.
     pub laser_s: f64,
     /// Nothing useful: time-outs, overdue lines, repeated steps, waiting for the server's clock or for
-    /// the last reading.
+    /// the last reading, finding out whether the tilt still turns.
     pub idle_s: f64,
 }
 
