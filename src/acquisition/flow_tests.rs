@@ -334,12 +334,68 @@ fn a_sweep_stopped_while_its_tilt_is_turned_back_says_so_and_books_that_time() {
     bed.faults.true_limits = Some(AngleSpan::new(-0.2, 0.3));
     let actions = acquisition.start(SweepRequest::model(), bed.now());
     bed.take(actions);
-    bed.run_until(&mut acquisition, 60.0, |bed| !bed.reaches.is_empty());
-    bed.run(&mut acquisition, 0.5);
+    for _ in 0..40_000 {
+        if matches!(acquisition.activity, Activity::Probing(_)) {
+            break;
+        }
+        bed.run(&mut acquisition, 0.0025);
+    }
+    bed.run(&mut acquisition, 0.02);
     let scan = acquisition.stop_sweep("enough", bed.now()).unwrap();
     assert!(scan.remarks.iter().any(|remark| remark == "enough"), "{:?}", scan.remarks);
     assert_eq!(scan.ended, bed.now());
     books_balance(&scan);
+}
+
+#[test]
+fn limits_narrower_than_told_on_both_sides_leave_a_usable_partial_scan() {
+    for (name, behaviour) in [("UT2004", ut2004(false)), ("UDK", udk(false))] {
+        let mut bed = Testbed::new(behaviour, Faults::default(), 43);
+        let mut acquisition = calibrated(&mut bed);
+        bed.faults.true_limits = Some(AngleSpan::new(-0.297, 0.297));
+        let scan = take(&mut bed, &mut acquisition, SweepRequest::model());
+        assert!(scan.filed >= 60, "{name}: {} rows: {:?}", scan.filed, scan.remarks);
+        let worst = quantile(&bed.tilt_errors_deg(&scan), 1.0);
+        assert!(worst < 0.3, "{name}: {worst}: {:?}", scan.remarks);
+        let told = |part: &str| scan.remarks.iter().any(|remark| remark.contains(part));
+        assert!(told("that is the limit of the tilt") && told("begun anew"), "{:?}", scan.remarks);
+    }
+}
+
+#[test]
+fn a_limit_that_comes_to_be_while_the_tilt_is_beyond_it_is_found_and_not_taken_for_a_stuck_joint() {
+    for (name, behaviour) in [("UT2004", ut2004(false)), ("UDK", udk(false))] {
+        let mut bed = Testbed::new(behaviour, Faults::default(), 44);
+        let mut acquisition = calibrated(&mut bed);
+        let actions = acquisition.park(HeadPose::tilted(0.75), bed.now());
+        bed.take(actions);
+        bed.run(&mut acquisition, 8.0);
+        bed.faults.true_limits = Some(AngleSpan::new(-0.297, 0.297));
+        let tilts = (60..260).rev().map(QuarterDegrees).collect();
+        let fan = Profile { name: "fan".into(), tilts };
+        for _ in 0..3 {
+            let scan = take(&mut bed, &mut acquisition, SweepRequest::flowing(fan.clone()));
+            let worst = bed.tilt_errors_deg(&scan).iter().map(|e| e.abs()).fold(0.0, f64::max);
+            assert!(worst < 0.3, "{name}: {worst}: {:?}", scan.remarks);
+        }
+        assert!(!acquisition.is_stuck(), "{name}: {:?}", bed.reaches);
+        let limits = acquisition.control().reach().limits().unwrap();
+        assert!((0.1..0.31).contains(&limits.max_rad), "{name}: {limits:?}");
+    }
+}
+
+#[test]
+fn readings_out_of_order_do_not_keep_a_sweep_waiting_for_a_tilt_at_its_limit() {
+    let mut bed = Testbed::new(ut2004(true), Faults::default(), 45);
+    let mut acquisition = calibrated(&mut bed);
+    bed.faults.true_limits = Some(AngleSpan::new(-0.35, 0.35));
+    bed.faults.swap_readings = true;
+    bed.faults.reading_delay_s = 0.3;
+    let tilts = (60..260).rev().map(QuarterDegrees).collect();
+    let fan = Profile { name: "fan".into(), tilts };
+    let scan = take(&mut bed, &mut acquisition, SweepRequest::flowing(fan));
+    assert!(scan.seconds() < 60.0, "{}: {:?}", scan.seconds(), scan.remarks);
+    assert!(scan.remarks.iter().any(|r| r.contains("rests at")), "{:?}", scan.remarks);
 }
 
 #[test]

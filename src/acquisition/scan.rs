@@ -86,6 +86,14 @@ impl TimeBudget {
         self.moving_s + self.servo_s + self.laser_s + self.idle_s
     }
 
+    /// Adds another sweep's.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.moving_s += other.moving_s;
+        self.servo_s += other.servo_s;
+        self.laser_s += other.laser_s;
+        self.idle_s += other.idle_s;
+    }
+
     /// Adds the time of one row that took `total_s`, of which the servo law explains `slew_s` of
     /// slewing and `settle_s` until the target, both counted from the command.
     pub(super) fn add_row(&mut self, total_s: f64, slew_s: f64, settle_s: f64) {
