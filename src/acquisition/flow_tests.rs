@@ -328,26 +328,6 @@ fn a_sweep_that_is_stopped_books_its_time_to_the_end() {
 }
 
 #[test]
-fn a_sweep_stopped_while_its_tilt_is_turned_back_says_so_and_books_that_time() {
-    let mut bed = Testbed::new(ut2004(false), Faults::default(), 42);
-    let mut acquisition = calibrated(&mut bed);
-    bed.faults.true_limits = Some(AngleSpan::new(-0.2, 0.3));
-    let actions = acquisition.start(SweepRequest::model(), bed.now());
-    bed.take(actions);
-    for _ in 0..40_000 {
-        if matches!(acquisition.activity, Activity::Probing(_)) {
-            break;
-        }
-        bed.run(&mut acquisition, 0.0025);
-    }
-    bed.run(&mut acquisition, 0.02);
-    let scan = acquisition.stop_sweep("enough", bed.now()).unwrap();
-    assert!(scan.remarks.iter().any(|remark| remark == "enough"), "{:?}", scan.remarks);
-    assert_eq!(scan.ended, bed.now());
-    books_balance(&scan);
-}
-
-#[test]
 fn limits_narrower_than_told_on_both_sides_leave_a_usable_partial_scan() {
     for (name, behaviour) in [("UT2004", ut2004(false)), ("UDK", udk(false))] {
         let mut bed = Testbed::new(behaviour, Faults::default(), 43);
