@@ -186,6 +186,7 @@ impl HeadControl {
                     let cast = self.cast_time(line);
                     let expected = self.expected_of(cast);
                     self.still.note(line, cast, expected.as_ref());
+                    self.note_came_free(cast);
                 }
                 let step = self.scanner_clock.observe(line.stamp + SCANNER_LAG, now);
                 if self.clock.latest().is_some() { ClockStep::Steady } else { step }

@@ -65,6 +65,8 @@ pub struct Flow {
     disorder_before: Disorder,
     slower_before: Span,
     furthest_rad: f64,
+    /// How near the tilt has come to the first row on the way there, in radians.
+    nearest_rad: Option<f64>,
     budget: TimeBudget,
     last_event: Arrival,
     remarks: Vec<String>,
@@ -101,6 +103,7 @@ impl Flow {
         let mut flow = Self {
             demanded: first,
             furthest_rad: first.radians(),
+            nearest_rad: None,
             way,
             pan_rad,
             driving,
@@ -160,6 +163,7 @@ impl Flow {
         if self.is_finished() {
             return None;
         }
+        self.spend(control, now);
         self.remarks.push(why.to_owned());
         let mut actions = Vec::new();
         self.finish(control, now, &mut actions);
@@ -302,7 +306,11 @@ impl Flow {
             }
             let off = (here.angle_rad - first).abs();
             if off > 0.5 * step && (here.angle_rad - first) * direction < 0.0 || off > 1.5 * step {
-                let came_on = (here.angle_rad - self.furthest_rad).abs() > 1e-3;
+                // Readings late or out of order make the tilt seem to go to and fro.
+                let came_on = self.nearest_rad.is_none_or(|nearest| off < nearest - 1e-3);
+                if came_on {
+                    self.nearest_rad = Some(off);
+                }
                 self.note_progress(came_on, here.angle_rad, line, control, now);
                 let rests = self.rests(line, control);
                 if !rests || (last - here.angle_rad) * direction <= 1.5 * step {

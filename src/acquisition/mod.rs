@@ -24,6 +24,7 @@ mod probe;
 mod profile;
 mod ramp;
 mod reach;
+mod repeat;
 mod request;
 mod scan;
 mod servo;
@@ -69,6 +70,7 @@ use calibrate::{Calibration, reference_profile};
 use nalgebra::Isometry3;
 use park::Park;
 use probe::Probe;
+use repeat::Repeat;
 use serde::{Deserialize, Serialize};
 use way::Way;
 
@@ -131,6 +133,8 @@ pub struct Acquisition {
     activity: Activity,
     /// Whether the server takes rates.
     rates: bool,
+    /// What becomes of a sweep that an end of the tilt's reach left without rows.
+    repeat: Repeat,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -148,7 +152,7 @@ impl Acquisition {
     pub fn new(head: &ScanHead, law: Option<ServoLaw>, config: AcquisitionConfig) -> Self {
         let control = HeadControl::new(head, law, &config);
         let rates = !matches!(law, None | Some(ServoLaw::Spring { .. }));
-        Self { config, control, activity: Activity::Idle, rates }
+        Self { config, control, activity: Activity::Idle, rates, repeat: Repeat::default() }
     }
 
     /// The head of a rig just created: UT2004 joints follow the hinge law at the speed that CONF gave,
@@ -200,11 +204,22 @@ impl Acquisition {
         self.control.reach().stuck_rad().is_some()
     }
 
+    /// Whether the tilt was found to reach less than told so long ago that the next sweep tries it again.
+    pub fn tries_again(&self) -> bool {
+        self.control.is_worth_a_try()
+    }
+
     /// Begins a sweep; one that is under way is dropped.
     pub fn start(&mut self, request: SweepRequest, now: Arrival) -> Vec<HeadAction> {
-        if request.mode != SweepMode::Nodding {
+        let standing = request.mode != SweepMode::Nodding;
+        self.repeat = Repeat::of(standing.then(|| request.clone()));
+        if standing {
             self.control.try_again();
         }
+        self.begin(request, now)
+    }
+
+    fn begin(&mut self, request: SweepRequest, now: Arrival) -> Vec<HeadAction> {
         // First of all, so that whoever sends the commands lets them through.
         let news = self.control.new_reach().map(HeadAction::Reach);
         let limits = self.control.head().tilt().and_then(|axis| axis.limits);
@@ -329,14 +344,17 @@ impl Acquisition {
             Activity::Probing(_) => None,
             Activity::Idle | Activity::Parking(_) | Activity::Calibrating(_) => return None,
         };
-        match std::mem::replace(&mut self.activity, Activity::Idle) {
-            Activity::Probing(probe) => Some(probe.give_up()),
+        let scan = match std::mem::replace(&mut self.activity, Activity::Idle) {
+            Activity::Probing(probe) => Some(probe.stop(why, now)),
             _ => scan,
-        }
+        };
+        let repeat = std::mem::take(&mut self.repeat);
+        scan.map(|scan| repeat.joined(scan))
     }
 
     /// Parks the head at `pose`; a sweep that is under way is dropped.
     pub fn park(&mut self, pose: HeadPose, now: Arrival) -> Vec<HeadAction> {
+        self.repeat = Repeat::default();
         let (park, commands) = Park::start(pose, &mut self.control, &self.config, now);
         self.activity = Activity::Parking(park);
         commands.into_iter().map(HeadAction::Send).collect()
@@ -355,8 +373,10 @@ impl Acquisition {
     pub fn handle(&mut self, event: &HeadEvent<'_>, now: Arrival) -> Vec<HeadAction> {
         let jumped = self.control.note(event, now);
         let limits = self.control.reach().limits();
+        let probed = matches!(self.activity, Activity::Probing(_));
         let mut actions = self.pass_on(event, jumped, now);
         self.probe_new_end(limits, &mut actions, now);
+        self.repeat_what_was_in_vain(probed, &mut actions, now);
         // First of all, so that whoever takes the scan knows what it could not show.
         let news = self.control.new_reach().map(HeadAction::Reach);
         actions.splice(0..0, news);

@@ -3,6 +3,7 @@
 use super::config::AcquisitionConfig;
 use super::control::HeadControl;
 use super::scan::Scan;
+use super::servo::ServoLaw;
 use super::{Acquisition, Activity, HeadAction};
 use crate::geometry::AngleSpan;
 use crate::robot::Demand;
@@ -15,6 +16,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Probe {
     scan: Box<Scan>,
+    /// Which side the end lies on, as a sign, and what the tilt was found to reach.
+    towards: f64,
+    limits: Option<AngleSpan>,
+    /// Whether it is turned back all the way, having shown nothing near the end.
+    goes_far: bool,
     began: Stamp,
     /// Tilts still to be demanded, in radians, the last one first.
     to_come: Vec<f64>,
@@ -32,6 +38,9 @@ const STEPS: u32 = 4;
 const LEAST_RAD: f64 = 0.05;
 /// Time for a step beyond the settling of the tilt, and for the last one.
 const STEP_TIME: Span = Span::from_millis(900);
+/// The same on the way to the other end, and what counts as settled there, in radians.
+const FAR_STEP_TIME: Span = Span::from_millis(300);
+const SETTLED_RAD: f64 = 0.01;
 const PATIENCE: Span = Span::from_millis(3_000);
 
 impl Probe {
@@ -62,7 +71,10 @@ impl Probe {
             .map_or(config.unknown_settle_s, |settle| settle.total_s);
         let step = control.clock().arrival_span(Span::from_seconds(settle_s) + STEP_TIME);
         let to_come = (1..=STEPS).rev().map(|i| rest_rad + step_rad * f64::from(i)).collect();
-        let mut probe = Self { scan, began, to_come, step, next_at: now };
+        let limits = control.reach().limits();
+        let goes_far = false;
+        let mut probe =
+            Self { scan, towards, limits, goes_far, began, to_come, step, next_at: now };
         let actions = probe.next_step(control, now).into_iter().collect();
         (Some(probe), actions)
     }
@@ -85,7 +97,14 @@ impl Probe {
 
     /// Looks at what is seen; the scan once it is known how the tilt is.
     pub(super) fn handle(&mut self, control: &mut HeadControl, now: Arrival) -> Option<Box<Scan>> {
-        let found = if let Some(unmoved) = control.unmoved() {
+        let is_over = now >= self.next_at && self.to_come.is_empty();
+        let found = if control.reach().limits() != self.limits {
+            // It was not where the sweep left it, but it turns.
+            "it does turn back: that is the limit of the tilt"
+        } else if let Some(unmoved) = control.unmoved() {
+            if self.goes_farther(control, now) || (self.goes_far && !is_over) {
+                return None;
+            }
             control.rests_at(unmoved.rest_rad, unmoved.towards);
             match control.reach().stuck_rad() {
                 Some(_) => "it does not turn back either: it is stuck",
@@ -93,14 +112,43 @@ impl Probe {
             }
         } else if control.still().changed_since(self.began) {
             "it does turn back: that is the limit of the tilt"
-        } else if now >= self.next_at && self.to_come.is_empty() {
+        } else if is_over {
             "whether it turns back cannot be seen"
         } else {
             return None;
         };
-        self.scan.remarks.push(found.to_owned());
-        self.scan.ended = now;
+        self.end(found, now);
         Some(self.scan.clone())
+    }
+
+    /// Turns on to the other end of the reach; false if that was tried already. A limit that came to be
+    /// while the tilt was beyond it holds it far from where it was last seen to turn.
+    fn goes_farther(&mut self, control: &HeadControl, now: Arrival) -> bool {
+        let Some(limits) = self.limits.filter(|_| !self.goes_far) else { return false };
+        self.goes_far = true;
+        let end_rad = if self.towards > 0.0 { limits.min_rad } else { limits.max_rad };
+        let Some(from_rad) = control.tilt.target_rad() else { return false };
+        // A hinge shows on its way where it comes free; a spring is there before the next line.
+        let way_rad = (end_rad - from_rad).abs();
+        let law = control.tilt.law();
+        let step_rad = match law {
+            Some(ServoLaw::Hinge { .. }) => way_rad,
+            Some(ServoLaw::Spring { .. }) | None => BACK_RAD / f64::from(STEPS),
+        };
+        let steps = if way_rad < LEAST_RAD { 0 } else { (way_rad / step_rad).round() as u32 };
+        let settle_s = law.map_or(1.0, |law| law.settle_s(step_rad, SETTLED_RAD));
+        self.step = control.clock().arrival_span(Span::from_seconds(settle_s) + FAR_STEP_TIME);
+        let at = |i: u32| from_rad - self.towards.signum() * step_rad * f64::from(i);
+        self.to_come = (1..=steps).rev().map(at).collect();
+        self.next_at = now;
+        steps > 0
+    }
+
+    /// The turn back was none that rows were taken in.
+    fn end(&mut self, why: &str, now: Arrival) {
+        self.scan.remarks.push(why.to_owned());
+        self.scan.budget.idle_s += (now - self.scan.ended).seconds();
+        self.scan.ended = now;
     }
 
     /// When it must be called again even if nothing arrives.
@@ -109,7 +157,8 @@ impl Probe {
     }
 
     /// The scan, whatever is known.
-    pub(super) fn give_up(self) -> Scan {
+    pub(super) fn stop(mut self, why: &str, now: Arrival) -> Scan {
+        self.end(why, now);
         *self.scan
     }
 }

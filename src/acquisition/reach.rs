@@ -56,6 +56,23 @@ impl Reach {
         Self { found: Some(found), earlier: None, is_news: true, ..self }
     }
 
+    /// The same with an end nearer that was found already: while by the law the tilt went between the
+    /// least and the greatest angle of `stayed` it did not turn, and at `free_rad` it did. `None` where
+    /// that says nothing of an end that was found.
+    pub(super) fn ending_before(self, (least, most): (f64, f64), free_rad: f64) -> Option<Self> {
+        let found = self.found.filter(|_| self.stuck_rad().is_none())?;
+        let told = self.told.unwrap_or(TURN);
+        let inside = free_rad - found.min_rad > STUCK_RAD && found.max_rad - free_rad > STUCK_RAD;
+        let nearer = if found.max_rad < told.max_rad && most >= found.max_rad - FREE_RAD {
+            AngleSpan { max_rad: free_rad, ..found }
+        } else if found.min_rad > told.min_rad && least <= found.min_rad + FREE_RAD {
+            AngleSpan { min_rad: free_rad, ..found }
+        } else {
+            return None;
+        };
+        inside.then_some(Self { found: Some(nearer), is_news: true, ..self })
+    }
+
     /// The end that was not known `before`: where it lies in radians, and on which side, as a sign.
     pub(super) fn new_end(&self, before: Option<AngleSpan>) -> Option<(f64, f64)> {
         let before = before.unwrap_or(TURN);
@@ -131,6 +148,16 @@ mod tests {
         assert!(reach.stuck_rad().is_some_and(|at| (at - 0.195).abs() < 1e-9), "{reach}");
         assert!(reach.is_exceeded_by(0.3) && !reach.is_exceeded_by(0.205));
         assert_eq!(reach.as_told().limits(), Some(AngleSpan::new(-0.5, 0.5)));
+    }
+
+    #[test]
+    fn an_end_is_where_the_joint_comes_free() {
+        let found = Reach::told(Some(AngleSpan::new(-0.5, 0.9))).ending_at(0.4, 1.0);
+        let nearer = found.ending_before((0.3, 0.4), 0.28).unwrap();
+        assert_eq!(nearer.limits(), Some(AngleSpan::new(-0.5, 0.28)));
+        assert_eq!(found.ending_before((0.1, 0.2), 0.05), None, "it was not at that end");
+        assert_eq!(found.ending_before((-0.5, -0.4), -0.3), None, "nothing was found there");
+        assert_eq!(found.ending_before((0.39, 0.4), 0.395), None, "it turned at once");
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub struct Scan {
     pub driven_m: Option<f64>,
     /// When the first command was sent.
     pub started: Arrival,
-    /// When the last row was filed or given up.
+    /// When the last row was filed or given up, or it was known why no more could be.
     pub ended: Arrival,
     /// What an operator should know, in plain words; empty when all went as told.
     pub remarks: Vec<String>,
@@ -69,7 +69,7 @@ pub struct TimeBudget {
     /// Waiting for the laser, the tilt being where it should, or held back for lines to keep up.
     pub laser_s: f64,
     /// Nothing useful: time-outs, overdue lines, repeated steps, waiting for the server's clock or for
-    /// the last reading.
+    /// the last reading, finding out whether the tilt still turns.
     pub idle_s: f64,
 }
 
@@ -84,6 +84,14 @@ impl TimeBudget {
     /// All of it.
     pub fn total_s(&self) -> f64 {
         self.moving_s + self.servo_s + self.laser_s + self.idle_s
+    }
+
+    /// Adds another sweep's.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.moving_s += other.moving_s;
+        self.servo_s += other.servo_s;
+        self.laser_s += other.laser_s;
+        self.idle_s += other.idle_s;
     }
 
     /// Adds the time of one row that took `total_s`, of which the servo law explains `slew_s` of

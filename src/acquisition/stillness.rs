@@ -35,6 +35,8 @@ pub(super) struct StillWatch {
     reached_rad: Option<f64>,
     /// First and last line of runs that should have changed and did not, by their casting.
     doubted: Vec<(Stamp, Stamp)>,
+    /// Least and greatest tilt by the law during such a run, where the newest line ended it.
+    came_free: Option<(f64, f64)>,
 }
 
 /// What is expected of a line.
@@ -105,10 +107,11 @@ impl StillWatch {
     /// Begins anew with the newest line, taken to have been cast at `tilt_rad`.
     pub(super) fn restart_at(&mut self, tilt_rad: f64) {
         self.run = None;
+        let facing = self.steepest_facing();
         if let Some(seen) = self.recent.back_mut() {
             seen.tilt_rad = tilt_rad;
             self.reached_rad = Some(tilt_rad);
-            let mut run = Run::unchanged(seen.clone(), None);
+            let mut run = Run::changed(seen.clone(), facing);
             // It has rested there for long, so that its time is not in doubt.
             run.tilts_rad.push(tilt_rad);
             self.run = Some(run);
@@ -118,6 +121,7 @@ impl StillWatch {
     /// Takes in a line cast at `cast`; `None` is expected of it where something better than the law
     /// tells the tilt, or nothing does.
     pub(super) fn note(&mut self, line: &LaserLine, cast: Stamp, expected: Option<&Expected>) {
+        self.came_free = None;
         let Some(expected) = expected else {
             self.close_run();
             self.recent.clear();
@@ -136,6 +140,10 @@ impl StillWatch {
         let with_first =
             self.run.as_ref().map_or(Agreement::Unknown, |run| agreement(&run.first.line, line));
         if !self.run.as_mut().is_some_and(|run| run.extend(&seen, with_first, expected)) {
+            if with_first == Agreement::Different {
+                self.came_free = self.run.as_ref().filter(|run| run.is_doubtful()).map(Run::tilts);
+                self.run = self.run.take().filter(|run| !run.is_harmless(seen.tilt_rad));
+            }
             self.close_run();
             self.run = Some(match with_first {
                 Agreement::Different => self.run_after_change(&seen),
@@ -155,9 +163,7 @@ impl StillWatch {
         {
             self.facings = [self.facings[1], Some(facing)];
         }
-        let steeper = |a: &Facing, b: &Facing| a.slope.abs().total_cmp(&b.slope.abs());
-        let mut run =
-            Run::changed(seen.clone(), self.facings.iter().flatten().copied().max_by(steeper));
+        let mut run = Run::changed(seen.clone(), self.steepest_facing());
         // A slow change may have been over some lines before it was told from the noise.
         for earlier in self.recent.iter().rev() {
             run.before_rad = Some(earlier.tilt_rad);
@@ -168,6 +174,17 @@ impl StillWatch {
         }
         self.reached_rad = run.before_rad.or(self.reached_rad);
         run
+    }
+
+    fn steepest_facing(&self) -> Option<Facing> {
+        let steeper = |a: &Facing, b: &Facing| a.slope.abs().total_cmp(&b.slope.abs());
+        self.facings.iter().flatten().copied().max_by(steeper)
+    }
+
+    /// Least and greatest tilt by the law of lines that should have changed and did not, if the newest
+    /// line is the first that did.
+    pub(super) fn came_free(&self) -> Option<(f64, f64)> {
+        self.came_free
     }
 
     /// The tilt, if by all that is seen it does not turn.

@@ -27,6 +27,7 @@ pub struct Sweep {
     rows: Vec<FiledRow>,
     budget: TimeBudget,
     started: Arrival,
+    /// When the row under way began; what came before is in the budget.
     row_began: Arrival,
     repeats: usize,
     unverified: usize,
@@ -197,7 +198,7 @@ impl Sweep {
         };
         let target = self.profile.tilts[row].radians();
         if !repeated {
-            self.row_began = now;
+            self.book_idle(now);
         }
         let mut settle = control.tilt_settles(target, self.tolerance_rad, in_force);
         let pan_waits = control.pan.target_rad() != Some(self.pan_rad) || row == 0 || repeated;
@@ -278,6 +279,7 @@ impl Sweep {
         self.budget.idle_s += (sent - self.row_began).seconds();
         let scale = 1.0 / control.clock().rate();
         self.budget.add_row((now - sent).seconds(), slew_s * scale, settle_s * scale);
+        self.row_began = now;
         self.lost_in_a_row = 0;
         self.file(row, Some(line.clone()));
         actions.push(HeadAction::Filed { row, tilt: self.profile.tilts[row] });
@@ -307,7 +309,7 @@ impl Sweep {
             return;
         }
         let elsewhere = waiting.elsewhere;
-        self.budget.idle_s += (now - self.row_began).seconds();
+        self.book_idle(now);
         self.file(row, None);
         self.lost_in_a_row += 1;
         let silent = control.rhythm.last_arrival().is_none_or(|at| {
@@ -406,12 +408,19 @@ impl Sweep {
         });
     }
 
+    /// Books the time since the last row, which no row came of.
+    fn book_idle(&mut self, now: Arrival) {
+        self.budget.idle_s += (now - self.row_began).seconds();
+        self.row_began = now;
+    }
+
     fn filed(&self) -> usize {
         self.rows.iter().filter(|row| row.line.is_some()).count()
     }
 
     fn finish(&mut self, control: &HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
         self.step = Step::Finished;
+        self.book_idle(now);
         let mut doubted = 0;
         for row in &mut self.rows {
             let cast = row.line.as_ref().map(|line| control.cast_time(line));

@@ -181,6 +181,17 @@ pub fn line_at(world: &World, head: &ScanHead, pose: HeadPose, scale: f64) -> La
     }
 }
 
+/// However a sweep ended, its time budget holds all of its time.
+pub fn books_balance(scan: &Scan) {
+    let (booked_s, lasted_s) = (scan.budget.total_s(), scan.seconds());
+    assert!(
+        (booked_s - lasted_s).abs() < 1e-6,
+        "{} of {lasted_s} s: {:?}",
+        scan.budget,
+        scan.remarks
+    );
+}
+
 /// When a server's first message is stamped.
 const EPOCH_S: f64 = 5085.0;
 const STEP_S: f64 = 0.0025;
@@ -256,7 +267,10 @@ impl Testbed {
                     let arrives = self.now_s + self.behaviour.up_s;
                     self.pending.push(((arrives / frame).ceil() * frame, command));
                 }
-                HeadAction::Finished(scan) => finished = Some(*scan),
+                HeadAction::Finished(scan) => {
+                    books_balance(&scan);
+                    finished = Some(*scan);
+                }
                 HeadAction::Calibrated(report) => self.calibrations.push(*report),
                 HeadAction::Reach(reach) => self.reaches.push(reach),
                 // Its scanner speaks by itself.

@@ -106,7 +106,8 @@ impl<W: Write> SimulatedMission<W> {
     fn sample(&mut self) {
         let Some(truth) = self.lockstep.truth(0) else { return };
         let pose = truth.world_from_robot;
-        self.truth.push(TimedPose { time_s: truth.stamp.seconds(), pose });
+        // By the clock that the trajectory is stamped by.
+        self.truth.push(TimedPose { time_s: truth.printed.seconds(), pose });
         self.start.get_or_insert(truth);
     }
 

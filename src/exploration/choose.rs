@@ -189,13 +189,14 @@ impl Explorer {
             wrap_pi(pose.yaw_rad + pose.bearing_rad(&centre))
         };
         let config = &self.config;
-        let gain = view.gain(
+        let mut gain = view.gain(
             goal.x_m,
             goal.y_m,
             config.blind_m,
             config.close_range_m,
             config.view_range_m,
         );
+        self.vain.discount(&centre, &mut gain);
         let (yaw_rad, gain_m2) = gain.best(config.field_of_view_rad, arrives_rad);
         goal.yaw_rad = yaw_rad;
         let turn_s = wrap_pi(yaw_rad - arrives_rad).abs() / config.turn_rps;

@@ -1,10 +1,14 @@
 //! What exploration remembers: looks in vain, and goals that failed.
 
+use super::view::{Gain, SECTORS};
+use crate::geometry::wrap_pi;
+use crate::navigation::Pose2;
 use crate::terrain::CellIndex;
 use crate::time::{Arrival, Span};
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 
 /// How often each view cell of the unknown was looked at and nothing came back.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -49,6 +53,64 @@ impl Looks {
         match self.count(cell) {
             0 => 1.0,
             count => 0.33_f32.powi(i32::from(count.min(8))),
+        }
+    }
+}
+
+/// What sweeps from one place left unseen of what they seemed to promise, by sector.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Shortfall {
+    at: Point2<f64>,
+    left_m2: [f64; SECTORS],
+    looks: [u8; SECTORS],
+}
+
+/// Promises that looks did not keep. What a place still seems to show after it was looked at from there
+/// more than once is no reason to look from there again: rays over a grid know nothing of rows that are
+/// too far apart, of glass, or of a tilt that does not get there.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Shortfalls {
+    places: Vec<Shortfall>,
+}
+
+/// Looks from within this of one another are looks from one place, in metres.
+const SAME_PLACE_M: f64 = 0.3;
+
+impl Shortfalls {
+    /// Notes what a place still seems to promise after a sweep there over `field_of_view_rad`.
+    pub fn note(&mut self, pose: &Pose2, field_of_view_rad: f64, left: &Gain) {
+        let at = pose.point();
+        let known = self.places.iter_mut().find(|place| (place.at - at).norm() <= SAME_PLACE_M);
+        let place = match known {
+            Some(place) => place,
+            None => {
+                let (left_m2, looks) = ([0.0; SECTORS], [0; SECTORS]);
+                self.places.push(Shortfall { at, left_m2, looks });
+                let last = self.places.len() - 1;
+                &mut self.places[last]
+            }
+        };
+        let sector_rad = TAU / SECTORS as f64;
+        let noted = place.left_m2.iter_mut().zip(&mut place.looks).zip(&left.sectors);
+        for (sector, ((left_m2, looks), still_m2)) in noted.enumerate() {
+            let off_rad = wrap_pi(sector_rad * (sector as f64 + 0.5) - pose.yaw_rad);
+            if off_rad.abs() <= 0.5 * (field_of_view_rad + sector_rad) {
+                *looks = looks.saturating_add(1);
+                *left_m2 = *still_m2;
+            }
+        }
+    }
+
+    /// Takes from `gain` what looks from there did not show: once what was left after the second look,
+    /// twice after the third, and so on, for no two rays over the grid are the same.
+    pub fn discount(&self, at: &Point2<f64>, gain: &mut Gain) {
+        for place in self.places.iter().filter(|place| (place.at - at).norm() <= SAME_PLACE_M) {
+            for ((gain_m2, left_m2), looks) in
+                gain.sectors.iter_mut().zip(&place.left_m2).zip(&place.looks)
+            {
+                let times = f64::from(looks.saturating_sub(1));
+                *gain_m2 = (*gain_m2 - times * left_m2).max(0.0);
+            }
         }
     }
 }
@@ -110,6 +172,30 @@ impl FailedGoals {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_looks_from_a_place_did_not_show_is_no_reason_to_look_from_there_again() {
+        let mut vain = Shortfalls::default();
+        let promise = || Gain { sectors: [1.0; SECTORS] };
+        let pose = Pose2 { x_m: 1.0, y_m: 2.0, yaw_rad: 0.0 };
+        let worth = |vain: &Shortfalls, away_m: f64, towards_rad: f64| {
+            let mut gain = promise();
+            vain.discount(&Point2::new(1.0 + away_m, 2.0), &mut gain);
+            let half = 0.25 * TAU;
+            let ahead = |sector: &usize| {
+                let bearing_rad = TAU * (*sector as f64 + 0.5) / SECTORS as f64;
+                wrap_pi(bearing_rad - towards_rad).abs() <= half
+            };
+            (0..SECTORS).filter(ahead).map(|sector| gain.sectors[sector]).sum::<f64>()
+        };
+        assert_eq!(worth(&vain, 0.0, 0.0), 12.0);
+        vain.note(&pose, 0.5 * TAU, &promise());
+        assert_eq!(worth(&vain, 0.0, 0.0), 12.0, "rows may have been lost: it is looked at again");
+        vain.note(&pose, 0.5 * TAU, &promise());
+        assert_eq!(worth(&vain, 0.1, 0.0), 0.0);
+        assert!(worth(&vain, 0.1, 0.5 * TAU) >= 10.0, "the other side was not looked at");
+        assert_eq!(worth(&vain, 0.5, 0.0), 12.0, "nor from another place");
+    }
 
     #[test]
     fn failures_expire_and_last_longer_each_time() {

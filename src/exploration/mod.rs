@@ -17,7 +17,7 @@ pub use places::{Doorway, Places, Room};
 use crate::navigation::Pose2;
 use crate::terrain::{CellIndex, Grid};
 use crate::time::Arrival;
-use memory::{FailedGoals, Looks};
+use memory::{FailedGoals, Looks, Shortfalls};
 use serde::{Deserialize, Serialize};
 use view::ViewMap;
 
@@ -132,6 +132,7 @@ pub struct Explorer {
     time_left_s: Option<f64>,
     failed: FailedGoals,
     looks: Looks,
+    vain: Shortfalls,
 }
 
 impl Explorer {
@@ -143,6 +144,7 @@ impl Explorer {
             time_left_s: None,
             failed: FailedGoals::default(),
             looks: Looks::default(),
+            vain: Shortfalls::default(),
         }
     }
 
@@ -172,6 +174,9 @@ impl Explorer {
     ///
     /// `range_share` is the share of the range within which it should have shown all there is.
     ///
+    /// What a place still seems to promise after a second look from there is taken off its worth, so
+    /// that no place is chosen for ever that shows nothing new.
+    ///
     /// Also acknowledges the current goal where the sweep was taken close to it.
     pub fn swept(&mut self, grid: &Grid, pose: &Pose2, field_of_view_rad: f64, range_share: f64) {
         let looked = ViewMap::new(grid, &self.looks).looked_at(
@@ -182,6 +187,14 @@ impl Explorer {
             range_share * self.config.view_range_m,
         );
         self.looks.note(&looked);
+        let left = ViewMap::new(grid, &self.looks).gain(
+            pose.x_m,
+            pose.y_m,
+            self.config.blind_m,
+            self.config.close_range_m,
+            self.config.view_range_m,
+        );
+        self.vain.note(pose, field_of_view_rad, &left);
         let close = |goal: &Choice| goal.goal.distance_m(&pose.point()) <= 0.5;
         if self.current.as_ref().is_some_and(close) {
             self.current = None;

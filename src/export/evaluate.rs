@@ -5,6 +5,7 @@ use super::coverage::{self, Evidence, Passability};
 use super::keyframes::Keyframe;
 use super::report::Report;
 use super::score::{at, settled_s};
+use super::timeline::Timeline;
 use super::tum::TimedPose;
 use crate::sim::World;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
@@ -39,7 +40,8 @@ pub struct RunFiles {
     pub report: Report,
     /// `trajectory.tum`.
     pub trajectory: Vec<TimedPose>,
-    /// `truth.tum`; empty where the truth is not known.
+    /// `truth.tum`, in the order of sampling, by the stamps that the robot's messages carried; empty
+    /// where the truth is not known.
     pub truth: Vec<TimedPose>,
     /// `map.pgm` and `ground.png`.
     pub evidence: Option<Evidence>,
@@ -47,6 +49,24 @@ pub struct RunFiles {
     pub patches: Vec<Patch>,
     /// `keyframes.json`.
     pub keyframes: Vec<Keyframe>,
+}
+
+impl RunFiles {
+    /// The same with all that is stamped at its time on `line`.
+    fn in_one_time(&self, line: &Timeline) -> Self {
+        let stamped = self.keyframes.iter().filter_map(|keyframe| keyframe.time_s);
+        let mut times = line.times(stamped).into_iter();
+        let mut keyframes = self.keyframes.clone();
+        for keyframe in keyframes.iter_mut().filter(|keyframe| keyframe.time_s.is_some()) {
+            keyframe.time_s = times.next();
+        }
+        Self {
+            trajectory: line.unfolded(&self.trajectory),
+            truth: line.unfolded(&self.truth),
+            keyframes,
+            ..self.clone()
+        }
+    }
 }
 
 /// A run scored. A field that needs something that is not there is `None`.
@@ -135,6 +155,10 @@ pub struct PlaneErrors {
 
 /// Scores a run. `world` and the robot's limits are those of its scenario, where it is known.
 pub fn evaluate(files: &RunFiles, world: Option<(&World, &Passability)>) -> Evaluation {
+    let line = Timeline::of(&files.truth);
+    if !line.is_plain() {
+        return evaluate(&files.in_one_time(&line), world);
+    }
     let report = &files.report;
     let mut evaluation = Evaluation {
         scenario: report.scenario.clone(),

@@ -18,4 +18,5 @@ pub mod run_folder;
 pub mod scene3d;
 pub mod score;
 pub mod segment_images;
+pub mod timeline;
 pub mod tum;

@@ -54,6 +54,9 @@ pub(super) const START_M: f64 = 1.0;
 /// Looks to other sides before the first way: with the one ahead, all around.
 const LOOKS_AROUND: u32 = 2;
 
+/// Rows of the sweep by which a tilt that showed no ground is tried again, in degrees.
+const TRIED_AGAIN_DEG: f64 = 1.0;
+
 /// From one heading to the next when the robot looks around.
 const THIRD_OF_A_TURN: f64 = 2.0 * std::f64::consts::PI / 3.0;
 
@@ -88,8 +91,11 @@ impl Running {
             }
             Activity::Stand => {
                 self.stop(desk);
-                if self.mode != Mode::Teleop && self.may_explore(desk.config) {
-                    return self.choose(desk);
+                if self.mode != Mode::Teleop {
+                    if self.may_explore(desk.config) {
+                        return self.choose(desk);
+                    }
+                    self.try_tilt_again(desk);
                 }
             }
         }
@@ -102,6 +108,18 @@ impl Running {
         let stuck = self.acquisition.as_ref().is_some_and(Acquisition::is_stuck);
         (self.sees_edges() && !stuck)
             || (config.belief.terrain.flat_floor && self.planar_lines >= PLANAR_LINES)
+    }
+
+    /// A robot that stands because its tilt shows no ground ahead sweeps again now and then: what held the
+    /// tilt may be over, and nothing else would find out.
+    fn try_tilt_again(&mut self, desk: &mut Desk<'_>) {
+        if !self.acquisition.as_ref().is_some_and(Acquisition::tries_again) {
+            return;
+        }
+        if let Some(request) = self.taken(Profile::coarse(TRIED_AGAIN_DEG), desk.config) {
+            desk.info("the tilt is tried once more");
+            self.settle(Look::Sweep(request), desk);
+        }
     }
 
     /// Stands still, then looks.

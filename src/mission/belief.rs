@@ -17,7 +17,7 @@ use crate::scan::{RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
 use crate::time::Stamp;
-use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -224,9 +224,10 @@ impl Belief {
         self.live.project(&self.world_from_robot())
     }
 
-    /// Takes the sector of `radius_m` and `half_angle_rad` ahead of the robot for ground.
-    pub fn assume_ahead(&mut self, radius_m: f64, half_angle_rad: f64) {
-        let world_from_robot = self.world_from_robot();
+    /// Takes the sector of `radius_m` and `half_angle_rad` about the bearing `towards_rad` for ground.
+    pub fn assume_towards(&mut self, towards_rad: f64, radius_m: f64, half_angle_rad: f64) {
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), towards_rad);
+        let world_from_robot = self.world_from_robot() * turned;
         let sector = AssumedSector { world_from_robot, radius_m, half_angle_rad };
         sector.enter(&mut self.live);
         sector.enter(&mut self.settled);

@@ -37,6 +37,8 @@ pub struct Truth {
     pub class: String,
     /// Level time.
     pub stamp: Stamp,
+    /// What the robot's messages are stamped with at that time: the same but for a clock that was set.
+    pub printed: Stamp,
     /// Pose of the robot's origin, core frame.
     pub world_from_robot: Isometry3<f64>,
     /// Speed of the origin in m/s.

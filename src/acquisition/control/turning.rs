@@ -126,17 +126,31 @@ impl HeadControl {
         self.set_reach(reach, Some(rest_rad).filter(|_| !read));
     }
 
+    /// A tilt at an end of its reach that the laser found, and that turned only when by the law it was well
+    /// on its way back: the end lies where it began to turn. Of a jump, or of a limit that came to be
+    /// while it was beyond it, the laser tells no better.
+    pub(super) fn note_came_free(&mut self, cast: Stamp) {
+        let Some(stayed) = self.still.came_free() else { return };
+        let Some(free) = self.tilt.estimate(cast + self.times_unsure()) else { return };
+        if let Some(reach) = self.reach.ending_before(stayed, free.angle_rad) {
+            self.set_reach(reach, None);
+        }
+    }
+
     /// An end that was found some minutes ago may have been a moment's: the next sweep tries once more
     /// what the server told. Each time that fails it is believed twice as long.
     pub(in crate::acquisition) fn try_again(&mut self) {
-        let Some((found, believed)) = self.ended.filter(|_| self.reach.is_narrowed()) else {
-            return;
+        let Some((found, believed)) = self.ended.filter(|_| self.is_worth_a_try()) else { return };
+        self.ended = Some((found, believed + believed));
+        self.set_reach(self.reach.tried_again(), None);
+    }
+
+    /// Whether an end of the reach was found so long ago that it is to be tried again.
+    pub(in crate::acquisition) fn is_worth_a_try(&self) -> bool {
+        let is_old = |(found, believed): (Stamp, Span)| {
+            self.clock().latest().is_some_and(|now| now - found > believed)
         };
-        let is_old = self.clock().latest().is_some_and(|now| now - found > believed);
-        if is_old && self.reach.stuck_rad().is_none() {
-            self.ended = Some((found, believed + believed));
-            self.set_reach(self.reach.tried_again(), None);
-        }
+        self.reach.is_narrowed() && self.ended.is_some_and(is_old)
     }
 
     pub(super) fn set_reach(&mut self, reach: Reach, rests_rad: Option<f64>) {

@@ -187,6 +187,23 @@ impl Run {
             && self.least_change(at - FACING_RAD, at + FACING_RAD) >= seen
     }
 
+    /// Whether a line at `tilt_rad` that differs ends a run in which nothing ahead was hit, the tilt having
+    /// been seen to turn before and being seen to turn on. Should it have stuck meanwhile, what runs along
+    /// the sides lies where it lies whatever the tilt.
+    pub fn is_harmless(&self, tilt_rad: f64) -> bool {
+        let on = self
+            .tilts_rad
+            .last()
+            .map_or(0.0, |last| (tilt_rad - last) * (last - self.before_rad.unwrap_or(*last)));
+        !self.sees_ahead && self.proven.is_none() && on > 0.0
+    }
+
+    /// Least and greatest tilt by the law.
+    pub fn tilts(&self) -> (f64, f64) {
+        let first_rad = self.first.tilt_rad;
+        (tilts_least(&self.tilts_rad).min(first_rad), tilts_most(&self.tilts_rad).max(first_rad))
+    }
+
     pub fn bounds(&self) -> (Stamp, Stamp) {
         (self.since, self.last)
     }

@@ -19,7 +19,6 @@ impl Sweep {
     ) {
         let Step::Waiting(waiting) = &self.step else { return };
         let row = waiting.row;
-        self.budget.idle_s += (now - self.row_began).seconds();
         self.file(row, None);
         let mut left_out = self.profile.len() - row;
         // The row at which the joint slowed down into its limit is no better than those beyond.

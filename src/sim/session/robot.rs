@@ -443,6 +443,7 @@ impl Robot {
             name: self.name.clone(),
             class: self.class.class.clone(),
             stamp: now,
+            printed: self.stamp(now),
             world_from_robot: state.world_from_robot,
             speed_mps: state.velocity_mps.norm(),
             angular_rps: state.angular_rps,
