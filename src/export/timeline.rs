@@ -89,7 +89,7 @@ mod tests {
         for offset_s in [
             (|t: f64| if t < 50.0 { 0.0 } else { -100.0 }) as fn(f64) -> f64,
             |t| if t < 70.0 { 0.0 } else { -2.0 },
-            |t| if t < 40.0 || t >= 70.0 { 0.0 } else { 30.0 },
+            |t| if (40.0..70.0).contains(&t) { 30.0 } else { 0.0 },
             |t| {
                 if t < 20.0 {
                     0.0
