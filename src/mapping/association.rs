@@ -175,8 +175,6 @@ const APART_UP_M: f64 = 0.03;
 const MOST_PER_PAIR: f64 = 4.5;
 /// Most assignments that are handed back.
 const MOST_ASSIGNMENTS: usize = 4;
-/// Sum of the squared cosines to the planes of the pairs below which none fixes a direction.
-const OPEN_SPREAD: f64 = 0.1;
 /// Difference of the distances of two landmarks below which neither is preferred.
 const CLOSE_CALL: f64 = 2.0;
 
@@ -355,35 +353,6 @@ impl Question<'_> {
                 }
             })
             .collect()
-    }
-
-    /// Whether an observation misses the gate of a plane that it lies on but for the motion's error, in a
-    /// direction over the ground that nothing else fixes: the motion may have been worse than told. A
-    /// floor that is missed is another floor: no wheels lift a robot.
-    pub(super) fn contested(&self, assignment: &Assignment, config: &AssociationConfig) -> bool {
-        let belief = &assignment.belief;
-        let normal = |plane: usize| belief.planes[plane].rotation * Vector3::z();
-        let fixed: Matrix3<f64> = assignment
-            .pairs
-            .iter()
-            .map(|&(_, plane)| normal(plane) * normal(plane).transpose())
-            .sum();
-        let open = |plane: usize| {
-            let normal = normal(plane);
-            normal.z.abs() < LYING_COSINE && normal.dot(&(fixed * normal)) < OPEN_SPREAD
-        };
-        let free = (0..self.observations.len())
-            .filter(|&free| assignment.pairs.iter().all(|&(taken, _)| taken != free));
-        free.flat_map(|observation| {
-            self.candidates[observation].iter().map(move |&plane| (observation, plane))
-        })
-        .any(|(observation, plane)| {
-            open(plane) && {
-                let rows = self.rows(belief, observation, plane);
-                rows.distance_squared() >= config.gate
-                    && self.comparable(belief, &rows, observation, plane, config)
-            }
-        })
     }
 
     /// Observations that an assignment does not take for a plane which they fit, with those planes. To

@@ -24,13 +24,10 @@ pub struct FullConfig {
     pub graph: GraphConfig,
 }
 
-/// Further pairs that must agree before a scan that recognises much is held to be off by more than told.
-const AGREEING: usize = 2;
 /// How much worse than told odometry may be before the scan is no longer believed: the motion's
 /// standard deviations are widened by this when a scan does not fit the map.
 const WIDENING: f64 = 6.5;
-/// Pairs below which a scan is tried again with a widened motion; so is one that misses a landmark in a
-/// direction that nothing else fixes.
+/// Pairs below which a scan is tried again with a widened motion.
 const FEW_PAIRS: usize = 3;
 /// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
 const LOG_SELDOM: f64 = -7.0;
@@ -157,14 +154,9 @@ impl Full {
         let pairs = found.pairs.len();
         let expected = arrival.scan.observations.len().min(config.anchors) / 3;
         let few = !estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS);
-        let contested = estimate.contested(arrival, config, &plain, found);
         let large = found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD);
         let place = prepared.len();
-        let plainly = !few
-            && !contested
-            && !large
-            && plain.assignments.len() == 1
-            && self.hypotheses.len() == 1;
+        let plainly = !few && !large && plain.assignments.len() == 1 && self.hypotheses.len() == 1;
         if plainly {
             let assignment = found.clone();
             branches.push(Branch { parent, prepared: place, assignment, log_weight: 0.0 });
@@ -196,10 +188,10 @@ impl Full {
             frames: BTreeMap::new(),
         });
         prepared.push(plain);
-        if few || contested {
+        if few {
             let wide = estimate.prepare(arrival, config, WIDENING);
-            let enough = if contested { pairs + AGREEING } else { (2 * pairs).max(FEW_PAIRS + 1) };
-            let more = |claim: &Claim| claim.assignment.pairs.len() >= enough;
+            let more =
+                |claim: &Claim| claim.assignment.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
             claims.extend(options(&wide, place + 1, LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
         }

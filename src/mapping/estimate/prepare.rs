@@ -100,19 +100,6 @@ impl Estimate {
         prepared.assignments = question.search(&prepared.belief, config, slack);
     }
 
-    /// Whether an observation misses a landmark in a direction that an assignment leaves open; see
-    /// [`Question::contested`].
-    pub(in crate::mapping) fn contested(
-        &self,
-        arrival: &Arrival<'_>,
-        config: &AssociationConfig,
-        prepared: &Prepared,
-        assignment: &Assignment,
-    ) -> bool {
-        let landmarks = self.named(&prepared.planes);
-        prepared.question(arrival, &landmarks).contested(assignment, config)
-    }
-
     /// Observations that an assignment leaves out though they fit a landmark, with those landmarks; see
     /// [`Question::left_out`].
     pub(in crate::mapping) fn left_out(
