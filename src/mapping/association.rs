@@ -9,6 +9,7 @@
 use super::belief::{Belief, PairRows};
 use super::landmark::{Landmark, carried_hull, hulls_meet};
 use super::observation::Observation;
+use super::shift::Shift;
 use nalgebra::{Matrix3, Matrix3x4, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -106,46 +107,6 @@ impl Assignment {
         shift.exceeds(APART_M, APART_UP_M, APART_RAD)
     }
 }
-
-/// How far apart two beliefs have the robot beside planes of both: not in the world, for what a loop
-/// closes may move the one or the other there.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Shift {
-    /// Greatest difference of the distances to planes that stand more or less upright, in metres.
-    pub(super) level_m: f64,
-    /// The same for those that lie: floors and ceilings.
-    pub(super) up_m: f64,
-    /// Greatest angle between the directions of a plane's normal, seen by the robot.
-    pub(super) turn_rad: f64,
-}
-
-impl Shift {
-    fn between(a: &Belief, b: &Belief, planes: impl Iterator<Item = usize>) -> Self {
-        let mut shift = Self::default();
-        for plane in planes {
-            let seen = |belief: &Belief| {
-                let plane_from_robot = belief.planes[plane].inverse() * belief.world_from_robot;
-                let normal = plane_from_robot.rotation.inverse() * Vector3::z();
-                (plane_from_robot.translation.z, normal)
-            };
-            let ((distance, normal), (other_distance, other_normal)) = (seen(a), seen(b));
-            let gap = (distance - other_distance).abs();
-            let lies = (a.planes[plane].rotation * Vector3::z()).z.abs() > LYING_COSINE;
-            let greatest = if lies { &mut shift.up_m } else { &mut shift.level_m };
-            *greatest = greatest.max(gap);
-            shift.turn_rad = shift.turn_rad.max(normal.angle(&other_normal));
-        }
-        shift
-    }
-
-    /// Whether any part is larger than it may be.
-    pub(super) fn exceeds(&self, level_m: f64, up_m: f64, turn_rad: f64) -> bool {
-        self.level_m > level_m || self.up_m > up_m || self.turn_rad > turn_rad
-    }
-}
-
-/// Cosine of a normal's angle to the vertical above which a plane lies.
-const LYING_COSINE: f64 = 0.8;
 
 /// What an observation was found to be.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -73,6 +73,12 @@ impl Innovation {
         Self { h: Vector3::new(lever.z, tilts.0, tilts.1), h_x, h_z, h_f }
     }
 
+    /// Information of the discrepancy under an observation's own noise (offset, tilts about y and x), its
+    /// `H_z R H_zᵀ` inverted; `None` where that is singular.
+    pub fn information(&self, covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+        (self.h_z * covariance * self.h_z.transpose()).try_inverse()
+    }
+
     /// The angle between both normals in radians.
     pub fn angle_rad(&self) -> f64 {
         self.h.y.hypot(self.h.z)

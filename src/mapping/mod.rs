@@ -28,6 +28,7 @@ pub mod perturbation;
 pub mod planar;
 mod report;
 mod scan_errors;
+mod shift;
 mod sight;
 
 pub use association::AssociationConfig;

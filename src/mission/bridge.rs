@@ -60,7 +60,7 @@ impl Running {
 
     /// Takes the gap ahead, between the robot's own disc and the nearest ground that it can see, for
     /// ground, if what lies beyond is whole: the committee does not put robots on the lip of a hole.
-    /// To the sides the rig sees only farther ground, so nothing is assumed there.
+    /// To the sides the rig sees only farther ground now, which is no reason to assume anything there.
     ///
     /// What an earlier look to another side showed may lie nearer than anything that can be seen now, as
     /// when the tilt has come to reach less since: where that is not whole ahead, the gap before the

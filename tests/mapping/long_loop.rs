@@ -118,7 +118,7 @@ fn round(world: &World, seed: u64) -> Round {
 
 /// `tests/campaign/loop.sh`.
 #[test]
-#[ignore = "a campaign: optimised, it takes seconds"]
+#[ignore = "a campaign: tests/campaign/loop.sh"]
 fn home_after_300_m_of_like_rooms() {
     let world = block_of_like_rooms();
     println!("seed   before, m  after, m  after, °    NEES  right  wrong  landmarks");

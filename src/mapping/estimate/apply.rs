@@ -10,7 +10,7 @@ use crate::mapping::observation::Observation;
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{perturbed_pose, pose_error};
 use crate::mapping::report::{Addition, Association, RefusalReason, UpdateReport};
-use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
+use nalgebra::{Isometry3, Matrix3x4, Matrix6, Vector6};
 
 /// Most planes that one scan may bring in, the largest first: all of a scan's planes are tied to one
 /// pose, and what a thousand slivers add does not pay for a joint covariance of three thousand rows.
@@ -251,12 +251,12 @@ fn beside_landmarks<'a>(
         let mut information = held;
         let mut gradient = held * pose_error(guess, &pose);
         for (seen, landmark) in pairs.clone() {
-            let Innovation { h, h_x, h_z, .. } =
+            let innovation =
                 Innovation::new(&landmark.world_from_plane, &pose, &seen.robot_from_plane);
-            let noise: Matrix3<f64> = h_z * seen.covariance * h_z.transpose();
-            let Some(weight) = noise.try_inverse() else { continue };
-            information += h_x.transpose() * weight * h_x;
-            gradient += h_x.transpose() * weight * h;
+            let Some(weight) = innovation.information(&seen.covariance) else { continue };
+            let weighted = innovation.h_x.transpose() * weight;
+            information += weighted * innovation.h_x;
+            gradient += weighted * innovation.h;
         }
         let Some(step) = information.cholesky().map(|root| root.solve(&gradient)) else {
             return *guess;

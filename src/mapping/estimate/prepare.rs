@@ -182,13 +182,12 @@ impl Estimate {
         let frames: Vec<Isometry3<f64>> =
             self.named(planes).iter().map(|landmark| landmark.world_from_plane).collect();
         let Some(last) = self.keyframes.last() else {
-            let f_x = first_jacobian(&before, predicted);
-            let f_u = second_jacobian(&before);
-            let pose = f_x * self.start_covariance * f_x.transpose()
-                + f_u * motion_covariance * f_u.transpose();
+            let (start, motion) = (&self.start_covariance, &arrival.motion);
+            let pose = predicted_covariance(&before, start, motion, motion_covariance);
             let pose = DMatrix::from_column_slice(6, 6, pose.as_slice());
             return Belief::new(*predicted, frames, &pose, arrival.scan.errors.any());
         };
+        // The last keyframe twice: as the anchor, and as the pose that the motion leads on from.
         let mut keys = vec![last.pose, last.pose];
         keys.extend(planes.iter().map(|id| self.roots[id].key));
         let mut joint = self.graph.covariance(&keys);

@@ -8,7 +8,7 @@ use crate::mapping::landmark::LandmarkId;
 use crate::mapping::perturbation::pose_error;
 use crate::mapping::report::{MovedKeyframe, UpdateReport, weak_directions};
 use crate::mapping::scan_errors::ScanObservations;
-use nalgebra::{Isometry3, Matrix3, Matrix6};
+use nalgebra::{Isometry3, Matrix6};
 use std::collections::BTreeSet;
 
 /// A correction of an old pose that is worth telling: beyond it grid and trajectory are rebuilt.
@@ -183,8 +183,7 @@ impl Estimate {
             let seen = &sighting.observation;
             let innovation =
                 Innovation::new(&landmark.world_from_plane, pose, &seen.robot_from_plane);
-            let noise: Matrix3<f64> = innovation.h_z * seen.covariance * innovation.h_z.transpose();
-            if let Some(weight) = noise.try_inverse() {
+            if let Some(weight) = innovation.information(&seen.covariance) {
                 information += innovation.h_x.transpose() * weight * innovation.h_x;
             }
         }

@@ -58,9 +58,9 @@ impl Graph {
         done
     }
 
-    /// What the second order of a variable's step amounts to, in metres. A shift alone does not: a measurement
-    /// depends on its variables' places by their difference only. A turn bends what is seen at the end
-    /// of a ray, and it turns the directions along which the shift was reckoned.
+    /// What the second order of a variable's step amounts to, in metres. A shift alone has none: a
+    /// measurement depends on its variables' places by their difference only. A turn bends what is seen
+    /// at the end of a ray, and it turns the directions along which the shift was reckoned.
     fn second_order_m(&self, key: Key) -> f64 {
         let variable = &self.variables[key.0 as usize];
         let norm = |part: &[f64]| part.iter().map(|x| x * x).sum::<f64>().sqrt();

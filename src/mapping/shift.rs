@@ -1,0 +1,45 @@
+//! How far apart two explanations put the robot.
+
+use super::belief::Belief;
+use nalgebra::Vector3;
+
+/// Cosine of a normal's angle to the vertical above which a plane lies.
+const LYING_COSINE: f64 = 0.8;
+
+/// How far apart two beliefs have the robot beside planes of both: not in the world, for what a loop
+/// closes may move the one or the other there.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Shift {
+    /// Greatest difference of the distances to planes that stand more or less upright, in metres.
+    level_m: f64,
+    /// The same for those that lie: floors and ceilings.
+    up_m: f64,
+    /// Greatest angle between the directions of a plane's normal, seen by the robot.
+    turn_rad: f64,
+}
+
+impl Shift {
+    /// Between two beliefs over the same planes, beside `planes`, as positions in either.
+    pub(super) fn between(a: &Belief, b: &Belief, planes: impl Iterator<Item = usize>) -> Self {
+        let mut shift = Self::default();
+        for plane in planes {
+            let seen = |belief: &Belief| {
+                let plane_from_robot = belief.planes[plane].inverse() * belief.world_from_robot;
+                let normal = plane_from_robot.rotation.inverse() * Vector3::z();
+                (plane_from_robot.translation.z, normal)
+            };
+            let ((distance, normal), (other_distance, other_normal)) = (seen(a), seen(b));
+            let gap = (distance - other_distance).abs();
+            let lies = (a.planes[plane].rotation * Vector3::z()).z.abs() > LYING_COSINE;
+            let greatest = if lies { &mut shift.up_m } else { &mut shift.level_m };
+            *greatest = greatest.max(gap);
+            shift.turn_rad = shift.turn_rad.max(normal.angle(&other_normal));
+        }
+        shift
+    }
+
+    /// Whether any part is larger than it may be.
+    pub(super) fn exceeds(&self, level_m: f64, up_m: f64, turn_rad: f64) -> bool {
+        self.level_m > level_m || self.up_m > up_m || self.turn_rad > turn_rad
+    }
+}
