@@ -35,6 +35,9 @@ pub struct Robot {
     pub events: Vec<String>,
     /// Least distance of the hull's support from falling, watched by the test.
     pub violations: Vec<String>,
+    /// How often the hull was over a drop, and how often in something.
+    pub falls: usize,
+    pub touches: usize,
 }
 
 impl Robot {
@@ -67,6 +70,8 @@ impl Robot {
             driven: 0.0,
             events: Vec::new(),
             violations: Vec::new(),
+            falls: 0,
+            touches: 0,
         }
     }
 
@@ -280,6 +285,7 @@ impl Robot {
                 let from = floor + self.shape.height_m + slope;
                 let under = self.world.floor_below(p.x, p.y, from).unwrap_or(-9.0);
                 if under < floor - 0.1 - slope {
+                    self.falls += 1;
                     self.violate(&format!(
                         "ground {:.2} m below at ({:.2}, {:.2})",
                         floor - under,
@@ -289,6 +295,7 @@ impl Robot {
                 } else if under > floor + 0.1 + slope
                     || self.world.is_inside(&nalgebra::Point3::new(p.x, p.y, floor + 0.3))
                 {
+                    self.touches += 1;
                     self.violate(&format!("hull touches something at ({:.2}, {:.2})", p.x, p.y));
                 }
             }

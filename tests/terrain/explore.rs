@@ -162,21 +162,23 @@ fn explore_random(seed: u64) -> (Robot, usize, f64) {
 
 /// What each of twenty random sites comes to, one with `SEED=N`, its map with `DRAW=N`.
 #[test]
-#[ignore = "a campaign: five minutes, and prints only"]
+#[ignore = "a campaign of five minutes"]
 fn campaign() {
     let only = std::env::var("SEED").ok().and_then(|v| v.parse::<u64>().ok());
     let many = std::env::var("SEEDS").ok().and_then(|v| v.parse::<u64>().ok()).unwrap_or(20);
+    let mut falls = 0;
     for seed in 0..many {
         if only.is_some_and(|only| only != seed) {
             continue;
         }
         let (robot, rounds, coverage) = explore_random(seed);
         println!(
-            "seed {seed}: rounds {rounds} sweeps {} driven {:.0} m, {:.0} s, coverage {coverage:.3}, falls {}, events {}, pans {}, steepest {:.0}",
+            "seed {seed}: rounds {rounds} sweeps {} driven {:.0} m, {:.0} s, coverage {coverage:.3}, falls {}, touches {}, events {}, pans {}, steepest {:.0}",
             robot.sweeps,
             robot.driven,
             robot.seconds,
-            robot.violations.len(),
+            robot.falls,
+            robot.touches,
             robot.events.len(),
             robot.pans.len(),
             robot.tilts[0].to_degrees(),
@@ -191,5 +193,7 @@ fn campaign() {
                 println!("E {event}");
             }
         }
+        falls += robot.falls;
     }
+    assert_eq!(falls, 0, "no fall is worth any coverage");
 }
