@@ -27,6 +27,7 @@ mod odometry;
 pub mod perturbation;
 pub mod planar;
 mod report;
+mod row_errors;
 mod scan_errors;
 mod shift;
 mod sight;

@@ -1,4 +1,5 @@
 use super::mask::{MaskBuilder, PlaneMask};
+use super::row_errors::RowErrors;
 use crate::geometry::{Plane, polygon_area};
 use crate::scan::PointGrid;
 use crate::segmentation::{PlanePatch, Segmentation, Shape, Surface};
@@ -95,6 +96,7 @@ pub fn observations(
         })
         .collect();
     let slots = slots_by_label(segmentation);
+    let sigmas_rad = grid.row_sigmas_rad();
     let (rows, columns) = (segmentation.rows, segmentation.columns);
     // Local coordinates of the row above and of this one; neighbours of one label in both rows and
     // columns span a piece that was seen as a whole.
@@ -108,6 +110,9 @@ pub fn observations(
             let Some(point) = grid.point(row, column) else { continue };
             let local = painter.place(&point);
             painter.builder.insert(&local);
+            if let Some(&sigma_rad) = sigmas_rad.get(row) {
+                painter.rows.add(row, f64::from(sigma_rad), &point, &local);
+            }
             here[column] = Some((slot, local));
             if column == 0 {
                 continue;
@@ -126,7 +131,11 @@ pub fn observations(
     found
         .into_iter()
         .flatten()
-        .map(|(observation, painter)| Observation { mask: painter.builder.finish(), ..observation })
+        .map(|(observation, painter)| Observation {
+            covariance: observation.covariance + painter.rows.covariance(),
+            mask: painter.builder.finish(),
+            ..observation
+        })
         .collect()
 }
 
@@ -136,6 +145,7 @@ struct Painter {
     axes: [Vector3<f64>; 2],
     origin: Vector3<f64>,
     builder: MaskBuilder,
+    rows: RowErrors,
 }
 
 impl Painter {
@@ -143,6 +153,7 @@ impl Painter {
         let Shape::Plane(patch) = &surface.shape else { return None };
         let rotation = patch.grid_from_plane.rotation;
         Some(Self {
+            rows: RowErrors::new(rotation * Vector3::z(), patch.noise_m),
             axes: [rotation * Vector3::x(), rotation * Vector3::y()],
             origin: patch.grid_from_plane.translation.vector,
             builder: MaskBuilder::over(&patch.hull)?,

@@ -9,6 +9,8 @@ pub struct PointGrid {
     rows: usize,
     columns: usize,
     points: Vec<[f32; 3]>,
+    /// Empty where nothing is known.
+    row_sigmas_rad: Vec<f32>,
 }
 
 impl PointGrid {
@@ -19,7 +21,19 @@ impl PointGrid {
     /// When the number of points is not `rows * columns`.
     pub fn new(rows: usize, columns: usize, points: Vec<[f32; 3]>) -> Self {
         assert_eq!(points.len(), rows * columns, "a grid has rows * columns points");
-        Self { rows, columns, points }
+        Self { rows, columns, points, row_sigmas_rad: Vec::new() }
+    }
+
+    /// The grid with the standard deviation of each row's tilt about the y axis in radians, an error that
+    /// all points of a row have in common.
+    ///
+    /// # Panics
+    ///
+    /// When there is not one for each row.
+    #[must_use]
+    pub fn with_row_sigmas(self, row_sigmas_rad: Vec<f32>) -> Self {
+        assert_eq!(row_sigmas_rad.len(), self.rows, "a row has one tilt");
+        Self { row_sigmas_rad, ..self }
     }
 
     /// Number of rows.
@@ -35,6 +49,11 @@ impl PointGrid {
     /// All points, row by row.
     pub fn points(&self) -> &[[f32; 3]] {
         &self.points
+    }
+
+    /// Standard deviations of the rows' tilts in radians; empty where they are not known.
+    pub fn row_sigmas_rad(&self) -> &[f32] {
+        &self.row_sigmas_rad
     }
 
     /// The point of a cell, if it has one.
@@ -54,6 +73,7 @@ impl PointGrid {
             .chunks(self.columns.max(1))
             .flat_map(|row| row[start..end].iter().copied())
             .collect();
-        Self::new(self.rows, end - start, points)
+        let row_sigmas_rad = self.row_sigmas_rad.clone();
+        Self { row_sigmas_rad, ..Self::new(self.rows, end - start, points) }
     }
 }

@@ -102,6 +102,7 @@ impl RangeImage {
         let columns = columns.start.min(self.columns())..columns.end.min(self.columns());
         let mut order: Vec<usize> = (0..self.rows.len()).collect();
         order.sort_by(|&a, &b| self.rows[a].tilt_rad.total_cmp(&self.rows[b].tilt_rad));
+        let sigmas = order.iter().map(|&row| self.rows[row].tilt_sigma_rad as f32).collect();
         let mut points = Vec::with_capacity(order.len() * columns.len());
         for row in order {
             for column in columns.clone() {
@@ -111,6 +112,6 @@ impl RangeImage {
                 );
             }
         }
-        PointGrid::new(self.rows.len(), columns.len(), points)
+        PointGrid::new(self.rows.len(), columns.len(), points).with_row_sigmas(sigmas)
     }
 }

@@ -12,7 +12,7 @@ use super::fit::{
 use super::hull::HullFinder;
 use super::stick_chain::Found;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use std::fmt::Write as _;
 
 /// Rejected regions smaller than this share one line: a scan has hundreds of them.
@@ -303,7 +303,9 @@ impl Assembler {
                         (Shape::Other, square_m2)
                     } else {
                         let covariance = covariance * patch;
-                        (Shape::Plane(PlanePatch { grid_from_plane, covariance, hull }), square_m2)
+                        let noise_m = noise_across(field, &grid_from_plane);
+                        let plane = PlanePatch { grid_from_plane, covariance, hull, noise_m };
+                        (Shape::Plane(plane), square_m2)
                     }
                 }
                 Fitted::Sphere { centre, radius_m, covariance } => {
@@ -348,6 +350,14 @@ impl Assembler {
             }
         }
     }
+}
+
+/// Standard deviation across a plane that the noise of the ranges gives a point at its frame's origin.
+fn noise_across(field: &Field, grid_from_plane: &Isometry3<f64>) -> f64 {
+    let place = grid_from_plane.translation.vector;
+    let range_m = place.norm();
+    let cosine = (grid_from_plane.rotation * Vector3::z()).dot(&place).abs() / range_m;
+    field.errors.noise.sigma_m(range_m) * cosine
 }
 
 /// Length of a hull along the longer axis of its frame, in metres.

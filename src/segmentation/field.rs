@@ -16,9 +16,6 @@ const NEAREST_M: f32 = 1e-3;
 const SATURATED: f32 = 0.9985;
 /// Fewest saturated readings that are believed to be some.
 const FEWEST_SATURATED: u32 = 32;
-/// Angle over which slopes are told, and the steepest that is believed, in ranges per radian.
-const SLOPE_RAD: f32 = 0.03;
-const STEEPEST: f32 = 10.0;
 /// Pairs of cells that are looked at to measure one angular pitch.
 const PITCH_SAMPLES: usize = 256;
 /// Lanes that are looked at to measure the pitch between two steps.
@@ -48,6 +45,8 @@ pub(super) struct Field {
     pub errors: ReadingErrors,
     /// Range over its standard deviation; zero where there is no return.
     pub gain: Vec<f32>,
+    /// What is known of the errors of the grid's rows, see [`PointGrid::row_sigmas_rad`].
+    pub row_sigmas_rad: Vec<f32>,
     samples: Vec<f32>,
     turned: Vec<[f32; 3]>,
 }
@@ -77,34 +76,7 @@ impl Field {
             let r2 = range * range;
             *gain = range / (constant + r2 * (square + r2 * fourth)).sqrt();
         }
-        if errors.angle_rad > 0.0 {
-            self.allow_for_angles(errors.angle_rad as f32);
-        }
-    }
-
-    /// Lowers the gains by what an error of the angle along means for the range.
-    fn allow_for_angles(&mut self, angle_rad: f32) {
-        let reach = ((SLOPE_RAD / self.along_rad) as usize).clamp(1, 8);
-        for step in 0..self.steps {
-            for lane in 0..self.lanes {
-                let cell = step * self.lanes + lane;
-                if !self.is_valid(cell) {
-                    continue;
-                }
-                // The smaller of the slopes to both sides: an edge has one on one side.
-                let mut slope = f32::INFINITY;
-                for other in [step.wrapping_sub(reach), step + reach] {
-                    if other < self.steps && self.is_valid(other * self.lanes + lane) {
-                        let rise = self.inverse[other * self.lanes + lane] - self.inverse[cell];
-                        let turn = self.positions[other] - self.positions[step];
-                        slope = slope.min((rise / turn).abs() * self.range[cell]);
-                    }
-                }
-                let slope = if slope.is_finite() { slope.min(STEEPEST) } else { 0.0 };
-                let error = slope * angle_rad * self.gain[cell];
-                self.gain[cell] /= (1.0 + error * error).sqrt();
-            }
-        }
+        self.allow_for_turns();
     }
 
     /// Weight of a cell in [`Moments`](super::moments::Moments): `r² / σ²`.
@@ -150,6 +122,8 @@ impl Field {
         if !self.across_rad.is_finite() {
             self.across_rad = self.along_rad;
         }
+        self.row_sigmas_rad.clear();
+        self.row_sigmas_rad.extend_from_slice(grid.row_sigmas_rad());
         self.drop_saturated();
         self.measure_positions();
     }
@@ -234,7 +208,7 @@ impl Field {
     }
 
     /// Distance of the unit directions of two valid cells.
-    fn chord(&self, a: usize, b: usize) -> f32 {
+    pub fn chord(&self, a: usize, b: usize) -> f32 {
         chord(
             [self.x[a], self.y[a], self.z[a]].map(|v| v * self.inverse[a]),
             [self.x[b], self.y[b], self.z[b]].map(|v| v * self.inverse[b]),

@@ -33,6 +33,7 @@ mod split;
 mod stick_chain;
 mod sticks;
 mod surface;
+mod turns;
 
 pub use config::{Method, PaperConfig, SegmentationConfig, ShapeLimits};
 pub use noise::{RangeNoise, ReadingErrors};

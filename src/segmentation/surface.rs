@@ -62,6 +62,9 @@ pub struct PlanePatch {
     pub covariance: Matrix3<f64>,
     /// Convex hull of the points in the local x-y plane, counter-clockwise, in metres.
     pub hull: Vec<Point2<f64>>,
+    /// Standard deviation across the plane that the noise of the ranges gives a point at the centre of
+    /// gravity, in metres.
+    pub noise_m: f64,
 }
 
 /// A sphere.

@@ -1,0 +1,93 @@
+//! What errors of the rays' angles mean for the ranges: on a floor at a grazing angle a tilt that is off by
+//! 0.05° moves a reading by more than its own noise does, and all readings of its row alike.
+
+use super::field::{Field, median};
+
+/// Angle over which slopes are told, and the steepest that is believed, in ranges per radian.
+const SLOPE_RAD: f32 = 0.03;
+const STEEPEST: f32 = 10.0;
+/// Most lines over which a slope is told.
+const MOST_LINES: usize = 8;
+/// Cells that are looked at to measure the angle between two lanes.
+const ANGLE_SAMPLES: usize = 9;
+
+impl Field {
+    /// Lowers the gains by what the errors of the angles mean for the ranges: those along, which the scan
+    /// itself shows, and those of the grid's rows as far as they are known.
+    pub(super) fn allow_for_turns(&mut self) {
+        let shown = self.errors.angle_rad as f32;
+        let known = std::mem::take(&mut self.row_sigmas_rad);
+        let is_known = known.iter().any(|&sigma| sigma > 0.0);
+        if shown > 0.0 || (is_known && !self.transposed) {
+            let of_step = |step: usize| {
+                let known = if self.transposed { None } else { known.get(step) };
+                known.map_or(shown, |&known| known.max(shown))
+            };
+            let sigmas: Vec<f32> = (0..self.steps).map(of_step).collect();
+            let positions = std::mem::take(&mut self.positions);
+            self.lower_gains(&sigmas, &positions, (self.lanes, 1), self.along_rad);
+            self.positions = positions;
+        }
+        if is_known && self.transposed {
+            let positions = self.lane_positions();
+            self.lower_gains(&known, &positions, (1, self.lanes), self.across_rad);
+        }
+        self.row_sigmas_rad = known;
+    }
+
+    /// Lowers the gains by the errors of the angles of parallel lines, whose cells lie `next` apart from line
+    /// to line and `within` apart in a line; `pitch_rad` is the usual angle between two.
+    fn lower_gains(
+        &mut self,
+        sigmas_rad: &[f32],
+        positions_rad: &[f32],
+        (next, within): (usize, usize),
+        pitch_rad: f32,
+    ) {
+        let lines = sigmas_rad.len();
+        let reach = ((SLOPE_RAD / pitch_rad) as usize).clamp(1, MOST_LINES);
+        for line in 0..lines {
+            if sigmas_rad[line] <= 0.0 {
+                continue;
+            }
+            for place in 0..self.len() / lines {
+                let cell = line * next + place * within;
+                if !self.is_valid(cell) {
+                    continue;
+                }
+                // The smaller of the slopes to both sides: an edge has one on one side.
+                let mut slope = f32::INFINITY;
+                for other in [line.wrapping_sub(reach), line + reach] {
+                    if other < lines && self.is_valid(other * next + place * within) {
+                        let rise = self.inverse[other * next + place * within] - self.inverse[cell];
+                        let turn = positions_rad[other] - positions_rad[line];
+                        slope = slope.min((rise / turn).abs() * self.range[cell]);
+                    }
+                }
+                let slope = if slope.is_finite() { slope.min(STEEPEST) } else { 0.0 };
+                let error = slope * sigmas_rad[line] * self.gain[cell];
+                self.gain[cell] /= (1.0 + error * error).sqrt();
+            }
+        }
+    }
+
+    /// The angle of each lane from the first in radians, as far as it can be told.
+    fn lane_positions(&self) -> Vec<f32> {
+        let mut samples = Vec::with_capacity(ANGLE_SAMPLES);
+        let mut position = 0.0;
+        let stride = self.steps.div_ceil(ANGLE_SAMPLES).max(1);
+        let gaps = (1..self.lanes).map(|lane| {
+            samples.clear();
+            for step in (stride / 2..self.steps).step_by(stride) {
+                let (a, b) = (step * self.lanes + lane - 1, step * self.lanes + lane);
+                if self.is_valid(a) && self.is_valid(b) {
+                    samples.push(self.chord(a, b));
+                }
+            }
+            let gap = median(&mut samples).unwrap_or(self.across_rad);
+            position += gap.max(0.05 * self.across_rad).max(1e-6);
+            position
+        });
+        std::iter::once(0.0).chain(gaps).take(self.lanes).collect()
+    }
+}
