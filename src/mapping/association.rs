@@ -445,7 +445,7 @@ impl Search<'_> {
             next.pairs.push((*observation, plane));
             let log_determinant = rows.log_determinant();
             next.score += log_ratio(distance, log_determinant, self.config);
-            next.support += tempered_ratio(distance, log_determinant, self.config);
+            next.support += tempered_ratio(distance, rows.s[(0, 0)], self.config);
             if !settled(&next.belief) {
                 self.question.absorb(&mut next.belief, *observation, plane);
             }
@@ -473,11 +473,15 @@ fn log_ratio(distance_squared: f64, log_determinant: f64, config: &AssociationCo
     window.ln() - 0.5 * (distance_squared + normaliser)
 }
 
-/// The same with the tightness of the pair limited and its misfit in full. Limiting the whole would
-/// make explanations equal that differ by what odometry has to be wrong by: a robot beside a stair
+/// How much better a landmark explains an observation than another plane that faces the same way: built
+/// worlds have few directions, so that only the distance tells surfaces apart, whose variance before the
+/// pair is `variance_m2`. Its tightness is limited and its misfit counts in full. Limiting the whole
+/// would make explanations equal that differ by what odometry has to be wrong by: a robot beside a stair
 /// could be a step higher, with the floor for the first tread.
-fn tempered_ratio(distance_squared: f64, log_determinant: f64, config: &AssociationConfig) -> f64 {
-    log_ratio(0.0, log_determinant, config).min(MOST_PER_PAIR) - 0.5 * distance_squared
+fn tempered_ratio(distance_squared: f64, variance_m2: f64, config: &AssociationConfig) -> f64 {
+    let window_m = 2.0 * config.max_offset_m;
+    let tightness = (window_m / (std::f64::consts::TAU * variance_m2).sqrt()).ln();
+    tightness.min(MOST_PER_PAIR) - 0.5 * distance_squared
 }
 
 fn settled(belief: &Belief) -> bool {
@@ -493,11 +497,9 @@ mod tests {
     #[test]
     fn a_misfit_speaks_against_a_place_however_tight_the_pair() {
         let config = AssociationConfig::default();
-        // Offset and tilts to a thousandth: far beyond what tightness may say.
-        let tight = 1e-18_f64.ln();
-        assert!(log_ratio(9.0, tight, &config) > MOST_PER_PAIR);
+        // An offset to a thousandth: beyond what tightness may say.
         let (fits, misses) =
-            (tempered_ratio(0.0, tight, &config), tempered_ratio(9.0, tight, &config));
+            (tempered_ratio(0.0, 1e-6, &config), tempered_ratio(9.0, 1e-6, &config));
         assert!((fits - MOST_PER_PAIR).abs() < 1e-12);
         assert!((fits - misses - 4.5).abs() < 1e-12);
     }
