@@ -12,7 +12,6 @@ use super::report::{MovedKeyframe, UpdateReport};
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// Settings of the full mode.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -173,7 +172,6 @@ impl Full {
                 log_prior,
                 far: found.shift_from(&prepared.belief).exceeds(FAR_M, FAR_M, FAR_RAD),
                 left_out: estimate.left_out(arrival, config, prepared, found),
-                frames: prepared.frames(found),
             };
             prepared.assignments.iter().map(claim).collect()
         };
@@ -185,7 +183,6 @@ impl Full {
             log_prior: LOG_UNRECOGNISED,
             far: false,
             left_out: Vec::new(),
-            frames: BTreeMap::new(),
         });
         prepared.push(plain);
         if few {
@@ -195,7 +192,7 @@ impl Full {
             claims.extend(options(&wide, place + 1, LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
         }
-        let judged = judge(claims, estimate, arrival.scan);
+        let judged = judge(claims, estimate, prepared, arrival.scan);
         branches.extend(judged.into_iter().map(|(prepared, assignment, score)| Branch {
             parent,
             prepared,
@@ -352,8 +349,6 @@ struct Claim {
     far: bool,
     /// See [`Estimate::left_out`].
     left_out: Vec<(usize, LandmarkId)>,
-    /// See [`Prepared::frames`].
-    frames: BTreeMap<LandmarkId, Isometry3<f64>>,
 }
 
 /// Scores of explanations with what the map says against them, and without a lead for what is far from
@@ -361,6 +356,7 @@ struct Claim {
 fn judge(
     claims: Vec<Claim>,
     estimate: &Estimate,
+    options: &[Prepared],
     scan: &ScanObservations,
 ) -> Vec<(usize, Assignment, f64)> {
     struct Judged {
@@ -372,12 +368,12 @@ fn judge(
     }
     let judged: Vec<Judged> = claims
         .into_iter()
-        .map(|Claim { prepared, assignment, log_prior, far, left_out, frames }| {
-            let pose = assignment.belief.world_from_robot;
-            let covariance = assignment.belief.pose_covariance();
-            let against = estimate.contradiction(&pose, &covariance, scan, &left_out, &frames);
+        .map(|Claim { prepared, assignment, log_prior, far, left_out }| {
+            let option = &options[prepared];
+            let against = estimate.contradiction(scan, option, &assignment, &left_out);
             let refuted = against.share();
-            let score = assignment.support + log_prior + against.footing - weight_of(refuted);
+            let score = assignment.support + log_prior + against.footing + against.doubled
+                - weight_of(refuted);
             Judged { prepared, assignment, score, refuted, far }
         })
         .collect();

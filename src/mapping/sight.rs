@@ -2,12 +2,12 @@
 //! through walls, a wall does not stand close before another that was seen, and no floor lies between
 //! the sensor and the wheels.
 
-use super::estimate::Estimate;
+use super::association::Assignment;
+use super::estimate::{Estimate, Prepared};
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Most points of one observation that are looked at.
@@ -19,6 +19,12 @@ const KNOWN_BEHIND_M: f64 = 0.05;
 const SIGMAS: f64 = 3.0;
 const BEHIND_M: f64 = 0.15;
 const BEHIND_PER_M: f64 = 0.015;
+/// What parallel surfaces may be apart by and yet be one, beside what the pair leaves open: no floor is even.
+const EVEN_M: f64 = 0.02;
+/// How often a surface lies that close to another of the map all the same, because a scan before swallowed
+/// it: a door's leaf in its wall, a plank on its floor. Beyond that area none is overlooked.
+const SWALLOWED: f64 = 0.01;
+const SWALLOWED_M2: f64 = 1.0;
 /// Standard deviation of a wheel's height above the surface that it stands on: a tyre, a carpet, the
 /// fit of a floor. The pose's own adds to it.
 const WHEEL_SIGMA_M: f64 = 0.02;
@@ -45,6 +51,9 @@ pub(super) struct Contradiction {
     /// Logarithm of how much likelier the wheels' heights over mapped floors are than any height
     /// within [`DOUBLED_M`] would be; 0 where no floor is mapped under them.
     pub(super) footing: f64,
+    /// Logarithm of how seldom observations lie close before or behind a parallel surface of the map, over
+    /// cells of it that were hit, as those here do: a floor taken for the kerb beside it.
+    pub(super) doubled: f64,
 }
 
 impl Contradiction {
@@ -55,25 +64,25 @@ impl Contradiction {
 }
 
 impl Estimate {
-    /// How many points of the scan lie behind landmarks when the robot stands at `world_from_robot`,
-    /// whose error `[δt; δr]` has that covariance: along each landmark's normal a pose that pairs have
-    /// fixed is held to centimetres, or a robot beside a stair could be a step of 0.18 m higher.
+    /// How many points of the scan contradict the map when it is explained by `assignment`: along each
+    /// landmark's normal a pose that pairs have fixed is held to centimetres, or a robot beside a stair
+    /// could be a step of 0.18 m higher.
     ///
     /// `left_out` are observations that are said not to be a landmark which they fit. Where they lie
     /// over cells of it that were hit they cannot be anything else: two surfaces that close were not
     /// both seen square on. What the pose is uncertain by does not excuse that: it is the very question.
     ///
-    /// `frames` are those of landmarks that the pose is believed together with.
-    ///
     /// Costs samples × landmarks about the scan; asked only where an association is in doubt.
     pub(super) fn contradiction(
         &self,
-        world_from_robot: &Isometry3<f64>,
-        covariance: &Matrix6<f64>,
         scan: &ScanObservations,
+        prepared: &Prepared,
+        assignment: &Assignment,
         left_out: &[(usize, LandmarkId)],
-        frames: &BTreeMap<LandmarkId, Isometry3<f64>>,
     ) -> Contradiction {
+        let belief = &assignment.belief;
+        let world_from_robot = &belief.world_from_robot;
+        let covariance = belief.pose_covariance();
         let world_from_scan = world_from_robot * scan.robot_from_scan;
         let eye = Point3::from(world_from_scan.translation.vector);
         let hulls = scan.observations.iter().flat_map(Observation::hull_points);
@@ -84,30 +93,96 @@ impl Estimate {
             // A wall that the points are said to stand before lies beyond all of them.
             .landmarks_about(around, DOUBLED_M)
             .filter_map(|landmark| {
-                let frame = frames.get(&landmark.id).unwrap_or(&landmark.world_from_plane);
-                Wall::facing(landmark, *frame, &eye, &position_covariance)
+                let plane = prepared.plane_of(landmark.id);
+                let frame = plane.map_or(landmark.world_from_plane, |plane| belief.planes[plane]);
+                Wall::facing(landmark, plane, frame, &eye, &position_covariance)
             })
             .collect();
         let mut found = Contradiction {
-            footing: footing(&walls, world_from_robot, covariance, &scan.contacts),
+            footing: footing(&walls, world_from_robot, &covariance, &scan.contacts),
             ..Contradiction::default()
         };
         for (index, observation) in scan.observations.iter().enumerate() {
             let world_from_plane = world_from_robot * observation.robot_from_plane;
-            let normal = world_from_plane.rotation * Vector3::z();
-            let denied = |wall: &Wall<'_>| left_out.contains(&(index, wall.landmark.id));
+            let against: Vec<Against<'_>> = walls
+                .iter()
+                .map(|wall| {
+                    let denied = left_out.contains(&(index, wall.landmark.id));
+                    let gap = wall.plane.map(|plane| prepared.gap(scan, assignment, index, plane));
+                    Against::new(wall, &world_from_plane, denied, gap)
+                })
+                .collect();
+            let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
+            let own = taken.and_then(|plane| walls.iter().find(|wall| wall.plane == Some(plane)));
             let stride = (observation.mask.count() / SAMPLES_PER_PLANE).max(1);
+            let (mut samples, mut doubled) = (0, 0);
             for cell in observation.mask.cells().step_by(stride) {
                 let point = world_from_plane * Point3::new(cell.x, cell.y, 0.0);
-                found.samples += 1;
-                let refuted = walls.iter().any(|wall| {
-                    let margin_m = if denied(wall) { 0.0 } else { wall.ray_margin_m(&point) };
-                    wall.refutes(&point, &normal, margin_m)
-                });
-                found.refuted += usize::from(refuted);
+                // Where the map has what is said to be seen, it is no news that it has another, too.
+                let is_news = !own.is_some_and(|own| own.solid_at(&(own.plane_from_world * point)));
+                let refuted = |tight| against.iter().any(|wall| wall.refutes(&point, tight));
+                samples += 1;
+                if refuted(false) {
+                    found.refuted += 1;
+                } else if is_news && refuted(true) {
+                    doubled += 1;
+                }
+            }
+            found.samples += samples;
+            if 2 * doubled > samples {
+                found.doubled += SWALLOWED.ln() * (observation.area_m2() / SWALLOWED_M2).min(1.0);
             }
         }
         found
+    }
+}
+
+/// A landmark that an observation is held against.
+struct Against<'a> {
+    wall: &'a Wall<'a>,
+    /// Whether both face the same way.
+    parallel: bool,
+    denied: bool,
+    /// Centre of the observation in the landmark's frame, and the covariance of the gap and the tilts between
+    /// the two, where that is known.
+    centre: Point3<f64>,
+    gap: Option<Matrix3<f64>>,
+}
+
+impl<'a> Against<'a> {
+    fn new(
+        wall: &'a Wall<'a>,
+        world_from_plane: &Isometry3<f64>,
+        denied: bool,
+        gap: Option<Matrix3<f64>>,
+    ) -> Self {
+        let parallel =
+            wall.normal.dot(&(world_from_plane.rotation * Vector3::z())) > PARALLEL_COSINE;
+        let centre = wall.plane_from_world * Point3::from(world_from_plane.translation.vector);
+        Self { wall, parallel, denied, centre, gap }
+    }
+
+    /// Whether a point of the observation, in the world, cannot be where it is; `tight` holds it to parallel
+    /// surfaces as well as the pair is known.
+    fn refutes(&self, point: &Point3<f64>, tight: bool) -> bool {
+        let target = self.wall.plane_from_world * point;
+        let margin_m = match self.denied {
+            true => 0.0,
+            false if tight => self.gap_margin_m(point, &target),
+            false => self.wall.ray_margin_m(point),
+        };
+        self.wall.refutes(&target, self.parallel, margin_m)
+    }
+
+    /// How far a point may lie off the landmark and yet be on it: between parallel surfaces that is known
+    /// as well as the pair is.
+    fn gap_margin_m(&self, point: &Point3<f64>, target: &Point3<f64>) -> f64 {
+        let ray_m = self.wall.ray_margin_m(point);
+        let Some(gap) = self.gap.filter(|_| self.parallel) else { return ray_m };
+        // A point at (x, y) from the centre moves by δz - θ x + ψ y.
+        let row = Vector3::new(1.0, self.centre.x - target.x, target.y - self.centre.y);
+        let sigma_m = row.dot(&(gap * row)).max(0.0).sqrt();
+        (EVEN_M + SIGMAS * sigma_m).min(ray_m)
     }
 }
 
@@ -130,7 +205,11 @@ fn footing(
         let heights = walls.iter().filter_map(|wall| wall.height_of(&point, &up));
         let nearest = heights.min_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
         let Some((height_m, wall)) = nearest else {
-            let hidden = walls.iter().any(|w| w.refutes(&point, &up, w.ray_margin_m(&point)));
+            let hidden = walls.iter().any(|wall| {
+                let parallel = wall.normal.dot(&up) > PARALLEL_COSINE;
+                let target = wall.plane_from_world * point;
+                wall.refutes(&target, parallel, wall.ray_margin_m(&point))
+            });
             return if hidden { OFF_THE_FLOOR.ln() } else { 0.0 };
         };
         let normal = wall.normal;
@@ -146,6 +225,8 @@ fn footing(
 /// A landmark as seen from a point in front of it.
 struct Wall<'a> {
     landmark: &'a Landmark,
+    /// Its place among the planes of the belief, where it is one of them.
+    plane: Option<usize>,
     normal: Vector3<f64>,
     plane_from_world: Isometry3<f64>,
     eye: Point3<f64>,
@@ -156,6 +237,7 @@ struct Wall<'a> {
 impl<'a> Wall<'a> {
     fn facing(
         landmark: &'a Landmark,
+        plane: Option<usize>,
         world_from_plane: Isometry3<f64>,
         eye: &Point3<f64>,
         position_covariance: &Matrix3<f64>,
@@ -166,6 +248,7 @@ impl<'a> Wall<'a> {
         let eye = plane_from_world * eye;
         (eye.z > BEHIND_M && !landmark.mask.is_empty()).then_some(Self {
             landmark,
+            plane,
             normal,
             plane_from_world,
             eye,
@@ -173,13 +256,11 @@ impl<'a> Wall<'a> {
         })
     }
 
-    /// Whether a point of the world on a surface with that normal cannot be there: it is more than the
-    /// margin behind the landmark, seen from the eye, or before it.
-    fn refutes(&self, point: &Point3<f64>, normal: &Vector3<f64>, margin_m: f64) -> bool {
-        let target = self.plane_from_world * point;
+    /// Whether a point, in the landmark's frame, of a surface that is parallel to it or not cannot be there:
+    /// it is more than the margin behind the landmark, seen from the eye, or before it.
+    fn refutes(&self, target: &Point3<f64>, parallel: bool, margin_m: f64) -> bool {
         if target.z > margin_m && target.z < DOUBLED_M {
-            let parallel = self.normal.dot(normal) > PARALLEL_COSINE;
-            return parallel && self.solid_at(&target);
+            return parallel && self.solid_at(target);
         }
         let ray = target - self.eye;
         if target.z > -margin_m || -ray.z < GRAZING_SINE * ray.norm() {
@@ -241,8 +322,13 @@ mod tests {
         let floor = floor();
         let covariance = Matrix6::identity() * (sigma_m * sigma_m);
         let position = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let wall =
-            Wall::facing(&floor, Isometry3::identity(), &Point3::new(0.0, 0.0, 0.6), &position);
+        let wall = Wall::facing(
+            &floor,
+            None,
+            Isometry3::identity(),
+            &Point3::new(0.0, 0.0, 0.6),
+            &position,
+        );
         let contacts = [(0.2, 0.2), (0.2, -0.2), (-0.2, 0.2), (-0.2, -0.2)]
             .map(|(x, y)| Point3::new(x, y, 0.0));
         let pose = Isometry3::translation(0.0, 0.0, height_m);

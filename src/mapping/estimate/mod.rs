@@ -51,7 +51,7 @@ pub(super) struct Prepared {
     pub(super) assignments: Vec<Assignment>,
     /// For each observation its candidates, as positions in `planes`.
     candidates: Vec<Vec<usize>>,
-    /// The landmark behind each plane of the belief.
+    /// The landmark behind each plane of the belief, in order.
     planes: Vec<LandmarkId>,
     common: Vec<Option<Matrix3x4<f64>>>,
     motion_covariance: Matrix6<f64>,

@@ -11,8 +11,7 @@ use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::scan_errors::{ScanObservations, common_error_jacobian};
-use nalgebra::{DMatrix, Isometry3, Matrix3x4, Matrix6, Vector3, Vector6};
-use std::collections::BTreeMap;
+use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3x4, Matrix6, Vector3, Vector6};
 
 /// Most landmarks that one scan is compared with; those seen last come first.
 const MOST_CANDIDATES: usize = 120;
@@ -26,12 +25,22 @@ const MOST_OPEN_M: f64 = 20.0;
 const MOST_OPEN_RAD: f64 = 0.6;
 
 impl Prepared {
-    /// Where an assignment has the landmarks that it was searched among.
-    pub(in crate::mapping) fn frames(
+    /// The place of a landmark among the planes of the belief, if it is one of them.
+    pub(in crate::mapping) fn plane_of(&self, landmark: LandmarkId) -> Option<usize> {
+        self.planes.binary_search(&landmark).ok()
+    }
+
+    /// Covariance of the gap between an observation and a plane of the belief and of their tilts, under an
+    /// assignment.
+    pub(in crate::mapping) fn gap(
         &self,
+        scan: &ScanObservations,
         assignment: &Assignment,
-    ) -> BTreeMap<LandmarkId, Isometry3<f64>> {
-        self.planes.iter().copied().zip(assignment.belief.planes.iter().copied()).collect()
+        observation: usize,
+        plane: usize,
+    ) -> Matrix3<f64> {
+        let common = self.common[observation].as_ref();
+        assignment.belief.pair(&scan.observations[observation], common, plane).s
     }
 
     /// The question which observation is which of `landmarks`, those named by the planes.
