@@ -503,4 +503,13 @@ mod tests {
         assert!((fits - MOST_PER_PAIR).abs() < 1e-12);
         assert!((fits - misses - 4.5).abs() < 1e-12);
     }
+
+    #[test]
+    fn a_surface_that_is_parallel_says_little_while_its_distance_is_open() {
+        let config = AssociationConfig::default();
+        // A stair's tread 0.18 m up, for a robot on a ramp whose height is open by 0.09 m.
+        let variance_m2 = 0.09 * 0.09;
+        assert!(tempered_ratio(0.18 * 0.18 / variance_m2, variance_m2, &config) < 0.0);
+        assert!(tempered_ratio(3.0, 1e-6, &config) > 2.0);
+    }
 }

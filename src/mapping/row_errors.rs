@@ -78,3 +78,91 @@ impl RowErrors {
         (covariance + covariance.transpose()) * 0.5
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_core::{Rng, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    const HEIGHT_M: f64 = 0.6;
+
+    /// A point of a floor under a tilt and a bearing, the first seen `error` too low.
+    fn floor_point(tilt_rad: f64, bearing_rad: f64, error_rad: f64) -> Point3<f64> {
+        let true_range_m = HEIGHT_M / (tilt_rad.sin() * bearing_rad.cos());
+        let filed = tilt_rad - error_rad;
+        let (along, aside) = (true_range_m * bearing_rad.cos(), true_range_m * bearing_rad.sin());
+        Point3::new(along * filed.cos(), aside, -along * filed.sin())
+    }
+
+    /// The plane through points in the frame whose origin is `centre`: offset, rotations about y and x.
+    fn fitted(points: &[Point3<f64>], centre: &Point3<f64>) -> Vector3<f64> {
+        let mut information = Matrix3::zeros();
+        let mut right = Vector3::zeros();
+        for point in points {
+            let local = point - centre;
+            let unknowns = Vector3::new(1.0, -local.x, local.y);
+            information += unknowns * unknowns.transpose();
+            right += unknowns * local.z;
+        }
+        information.try_inverse().expect("three rows span a plane") * right
+    }
+
+    #[test]
+    fn the_covariance_is_that_of_planes_fitted_to_rows_of_wrong_tilts() {
+        const SIGMA_RAD: f64 = 0.001;
+        let mut rng = Pcg64::seed_from_u64(3);
+        let mut normal = || -> f64 {
+            let sum: f64 = (0..12).map(|_| f64::from(rng.next_u32()) / f64::from(u32::MAX)).sum();
+            sum - 6.0
+        };
+        for rows in [3_usize, 8, 25] {
+            let tilts = (0..rows).map(|row| 0.15 + 0.3 * row as f64 / rows as f64);
+            let tilts: Vec<f64> = tilts.collect();
+            let bearings: Vec<f64> = (-30..=50).map(|i| f64::from(i) * 0.0175).collect();
+            let seen = |errors: &[f64]| -> Vec<Point3<f64>> {
+                let rows = tilts.iter().zip(errors);
+                rows.flat_map(|(&tilt, &error)| bearings.iter().map(move |&b| (tilt, b, error)))
+                    .map(|(tilt, bearing, error)| floor_point(tilt, bearing, error))
+                    .collect()
+            };
+            let exact = seen(&vec![0.0; rows]);
+            let sum: Vector3<f64> = exact.iter().map(|p| p.coords).sum();
+            let centre = Point3::from(sum / exact.len() as f64);
+            // Points that err more by themselves than by their rows weigh alike.
+            let mut errors = RowErrors::new(Vector3::z(), 1.0);
+            for (i, point) in exact.iter().enumerate() {
+                let local = point - centre;
+                errors.add(i / bearings.len(), SIGMA_RAD, point, &Point2::new(local.x, local.y));
+            }
+            let told = {
+                // Without the prior, which unit noise gives weight.
+                let mut errors = errors;
+                errors.information -= Matrix3::from_diagonal(&Vector3::new(0.0, FREE, FREE));
+                errors.covariance()
+            };
+            let mut found = Matrix3::zeros();
+            const RUNS: usize = 1500;
+            for _ in 0..RUNS {
+                let wrong: Vec<f64> = (0..rows).map(|_| SIGMA_RAD * normal()).collect();
+                let plane = fitted(&seen(&wrong), &centre);
+                found += plane * plane.transpose() / RUNS as f64;
+            }
+            for (i, j) in [(0, 0), (1, 1), (2, 2), (0, 1)] {
+                let scale = (told[(i, i)] * told[(j, j)]).sqrt();
+                let gap = (found[(i, j)] - told[(i, j)]).abs() / scale;
+                assert!(gap < 0.12, "{rows} rows, {i} {j}: {found} {told}");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_that_are_known_add_nothing() {
+        let mut errors = RowErrors::new(Vector3::z(), 0.001);
+        for row in 0..5 {
+            let point = floor_point(0.1 + 0.05 * row as f64, 0.2, 0.0);
+            errors.add(row, 0.0, &point, &Point2::new(point.x, point.y));
+        }
+        assert_eq!(errors.covariance(), Matrix3::zeros());
+    }
+}

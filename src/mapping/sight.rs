@@ -350,4 +350,30 @@ mod tests {
         // Too high for the floor to have anything to do with it.
         assert_eq!(footing_at(0.7, 1e-4), 0.0);
     }
+
+    /// A floor taken for the kerb beside it puts the robot 5 cm too high, and what else it sees of the
+    /// floor close over it.
+    #[test]
+    fn a_floor_5_cm_over_a_mapped_floor_is_none_as_far_as_the_pair_is_known() {
+        let floor = floor();
+        let position = Matrix3::identity() * 1e-6;
+        let eye = Point3::new(0.0, 0.0, 0.6);
+        let wall = Wall::facing(&floor, Some(0), Isometry3::identity(), &eye, &position);
+        let wall = wall.expect("the eye is above");
+        let over = Isometry3::translation(0.5, 0.5, 0.05);
+        let refuted = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64, tight: bool| {
+            let sigmas = Vector3::new(sigma_m, sigma_rad, sigma_rad);
+            let gap = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
+            Against::new(&wall, &over, false, Some(gap)).refutes(&point, tight)
+        };
+        let point = Point3::new(1.0, -1.0, 0.05);
+        assert!(refuted(point, 0.002, 0.001, true));
+        // What the ray's length leaves open is more.
+        assert!(!refuted(point, 0.002, 0.001, false));
+        // Open by as much, or by as much as the tilt does at that place.
+        assert!(!refuted(point, 0.02, 0.001, true));
+        assert!(!refuted(point, 0.002, 0.02, true));
+        // Over no cell that was hit.
+        assert!(!refuted(Point3::new(4.0, 0.0, 0.05), 0.002, 0.001, true));
+    }
 }

@@ -91,3 +91,67 @@ impl Field {
         std::iter::once(0.0).chain(gaps).take(self.lanes).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::scan::PointGrid;
+    use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
+    use nalgebra::Vector3;
+    use rand_core::{Rng, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    const HEIGHT_M: f64 = 0.6;
+    const BEAMS: i32 = 65;
+    const OFF: f64 = 0.04;
+
+    /// A floor under a fan of uneven rows whose tilts are off by a share of their spacing, and the standard
+    /// deviations of those.
+    fn fan(seed: u64) -> (PointGrid, Vec<f32>) {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let mut even =
+            |half: f64| half * (f64::from(rng.next_u32()) / f64::from(u32::MAX) * 2.0 - 1.0);
+        let mut points = Vec::new();
+        let mut tilt_rad: f64 = 0.09;
+        let mut sigmas = Vec::new();
+        while tilt_rad < 0.78 {
+            let spacing_rad = if tilt_rad < 0.13 { 0.008 } else { 0.036 };
+            let error_rad = even(OFF * spacing_rad);
+            sigmas.push((OFF * spacing_rad / 3_f64.sqrt()) as f32);
+            for beam in -BEAMS..=BEAMS {
+                let bearing = f64::from(beam).to_radians();
+                let range = HEIGHT_M / ((tilt_rad + error_rad).sin() * bearing.cos());
+                let range = range * (1.0 + even(0.001));
+                let (along, aside) = (range * bearing.cos(), range * bearing.sin());
+                let point = [along * tilt_rad.cos(), aside, -along * tilt_rad.sin()];
+                points.push(point.map(|v| if range < 18.0 { v as f32 } else { f32::NAN }));
+            }
+            tilt_rad += spacing_rad;
+        }
+        (PointGrid::new(sigmas.len(), 2 * BEAMS as usize + 1, points), sigmas)
+    }
+
+    /// Largest plane: its share of the points, and the angle of its normal to the vertical.
+    fn largest(grid: &PointGrid) -> (f64, f64) {
+        let mut segmenter = Segmenter::new(SegmentationConfig::default());
+        let result = segmenter.segment(grid);
+        let largest = result.surfaces.iter().max_by_key(|surface| surface.points);
+        let largest = largest.expect("a floor is a surface");
+        let Shape::Plane(patch) = &largest.shape else { panic!("{:?}", largest.shape) };
+        let valid = grid.points().iter().filter(|point| point[0].is_finite()).count();
+        (largest.points as f64 / valid as f64, patch.plane().normal.angle(&Vector3::z()))
+    }
+
+    #[test]
+    fn rows_that_are_off_by_more_than_the_ranges_are_of_one_floor() {
+        const SEEDS: u64 = 6;
+        let (mut known, mut unknown) = (0.0, 0.0);
+        for seed in 0..SEEDS {
+            let (grid, sigmas) = fan(seed);
+            unknown += largest(&grid).0 / SEEDS as f64;
+            let (share, angle_rad) = largest(&grid.with_row_sigmas(sigmas));
+            assert!(angle_rad < 0.003, "seed {seed}: {angle_rad}");
+            known += share / SEEDS as f64;
+        }
+        assert!(known > 0.8 && known > unknown + 0.2, "{known} beside {unknown}");
+    }
+}
