@@ -24,6 +24,7 @@ mod mask;
 pub mod mip;
 mod observation;
 mod odometry;
+mod odometry_trust;
 pub mod perturbation;
 pub mod planar;
 mod report;
@@ -48,6 +49,7 @@ pub use report::{
 pub use scan_errors::{ScanErrors, ScanObservations, common_error_jacobian, curve_error_jacobian};
 
 use nalgebra::{Isometry3, Matrix3, Matrix6};
+use odometry_trust::OdometryTrust;
 use serde::{Deserialize, Serialize};
 
 /// Which estimator runs.
@@ -83,6 +85,7 @@ pub struct Mapper {
     motion: Motion,
     /// Roll, pitch and their standard deviation as last measured.
     attitude: Option<(f64, f64, f64)>,
+    trust: OdometryTrust,
     engine: Engine,
 }
 
@@ -90,6 +93,14 @@ pub struct Mapper {
 enum Engine {
     Mip { filter: Box<Mip>, keyframes: Vec<Isometry3<f64>> },
     Full(Box<Full>),
+}
+
+/// Pairs that fix a pose.
+const FIXING_PAIRS: usize = 3;
+
+/// Whether a scan has fixed the pose in all directions.
+fn is_fixed(report: &UpdateReport) -> bool {
+    report.weak_directions.is_empty() && report.associations.len() >= FIXING_PAIRS
 }
 
 impl Mapper {
@@ -114,7 +125,8 @@ impl Mapper {
                 Engine::Full(Box::new(Full::new(config.full.clone(), world_from_robot, covariance)))
             }
         };
-        Self { config, motion: Motion::default(), attitude: None, engine }
+        let trust = OdometryTrust::default();
+        Self { config, motion: Motion::default(), attitude: None, trust, engine }
     }
 
     /// Settings that the mapper runs with.
@@ -162,7 +174,15 @@ impl Mapper {
                 report
             }
             Engine::Full(full) => {
-                full.observe(&motion.before_from_after, &covariance, attitude, scan)
+                let before = full.world_from_robot();
+                let told = motion.before_from_after;
+                let widened = self.trust.widened(&covariance);
+                let report = full.observe(&told, &widened, attitude, scan);
+                if is_fixed(&report) {
+                    let found = before.inverse() * report.world_from_robot;
+                    self.trust.learn(&told, &covariance, &found);
+                }
+                report
             }
         }
     }
@@ -202,7 +222,7 @@ impl Mapper {
             &pose,
             &covariance,
             &self.motion.before_from_after,
-            &self.config.odometry.covariance(&self.motion),
+            &self.trust.widened(&self.config.odometry.covariance(&self.motion)),
         )
     }
 

@@ -1,0 +1,98 @@
+//! How much worse than its noise model odometry turns out to be: on carpet, with a flat tyre, with another
+//! robot's numbers.
+
+use super::perturbation::pose_error;
+use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// Components of a motion's error `[δt; δr]` that wheels measure: the way over the ground and the heading.
+const MEASURED: [usize; 3] = [0, 1, 5];
+/// Motions that the noise model counts for.
+const PRIOR: f64 = 10.0;
+/// Part of what earlier motions count for that is left after one more.
+const KEPT: f64 = 0.95;
+/// Most that one motion says: a push or a stuck wheel is no noise.
+const MOST: f64 = 25.0;
+
+/// The motions so far, held against where planes put the robot after them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct OdometryTrust {
+    /// Sum of the squared errors in units of what was expected, and the motions that it is of.
+    sum: f64,
+    count: f64,
+}
+
+impl OdometryTrust {
+    /// Takes in a motion as told, with the covariance that the noise model gives it, and as found.
+    pub(super) fn learn(
+        &mut self,
+        told: &Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+        found: &Isometry3<f64>,
+    ) {
+        let error = pose_error(told, found);
+        let error = Vector3::from_fn(|i, _| error[MEASURED[i]]);
+        let expected = Matrix3::from_fn(|i, j| covariance[(MEASURED[i], MEASURED[j])]);
+        let Some(root) = expected.cholesky() else { return };
+        let square = error.dot(&root.solve(&error)) / MEASURED.len() as f64;
+        self.sum = KEPT * self.sum + square.min(MOST);
+        self.count = KEPT * self.count + 1.0;
+    }
+
+    /// A motion's covariance with what the wheels measure as wrong as it has turned out to be, never less
+    /// than the noise model says.
+    pub(super) fn widened(&self, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+        let variance = (PRIOR + self.sum) / (PRIOR + self.count);
+        let factor = variance.max(1.0).sqrt();
+        let mut scale = Vector6::repeat(1.0);
+        for component in MEASURED {
+            scale[component] = factor;
+        }
+        let scale = Matrix6::from_diagonal(&scale);
+        scale * covariance * scale
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told() -> Isometry3<f64> {
+        Isometry3::new(Vector3::new(0.5, 0.0, 0.0), Vector3::z() * 0.1)
+    }
+
+    fn covariance() -> Matrix6<f64> {
+        Matrix6::from_diagonal(&Vector6::new(1e-4, 1e-4, 1e-4, 1e-5, 1e-5, 4e-5))
+    }
+
+    /// After motions that err by `share` of their standard deviation in x.
+    fn after(share: f64, motions: usize) -> Matrix6<f64> {
+        let mut trust = OdometryTrust::default();
+        let found = told() * Isometry3::translation(share * 0.01, 0.0, 0.0);
+        for _ in 0..motions {
+            trust.learn(&told(), &covariance(), &found);
+        }
+        trust.widened(&covariance())
+    }
+
+    #[test]
+    fn odometry_as_good_as_told_or_better_is_left_as_it_is() {
+        assert_eq!(after(1.0, 30), covariance());
+        assert_eq!(after(0.0, 30), covariance());
+    }
+
+    #[test]
+    fn odometry_that_is_worse_is_found_out_and_only_where_wheels_measure() {
+        let wide = after(6.0, 30);
+        // Twelve times the expected mean square, less what the model still counts for.
+        assert!((7.0..12.0).contains(&(wide[(0, 0)] / 1e-4)), "{wide}");
+        assert_eq!(wide[(2, 2)], 1e-4);
+        assert_eq!(wide[(3, 3)], 1e-5);
+    }
+
+    #[test]
+    fn one_push_is_no_noise() {
+        let wide = after(60.0, 1);
+        assert!(wide[(0, 0)] < 4.0 * 1e-4, "{wide}");
+    }
+}
