@@ -108,8 +108,9 @@ impl Estimate {
                 .iter()
                 .map(|wall| {
                     let denied = left_out.contains(&(index, wall.landmark.id));
-                    let gap = wall.plane.map(|plane| prepared.gap(scan, assignment, index, plane));
-                    Against::new(wall, &world_from_plane, denied, gap)
+                    Against::new(wall, &world_from_plane, denied, |plane| {
+                        prepared.gap(scan, assignment, index, plane)
+                    })
                 })
                 .collect();
             let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
@@ -144,7 +145,7 @@ struct Against<'a> {
     parallel: bool,
     denied: bool,
     /// Centre of the observation in the landmark's frame, and the covariance of the gap and the tilts between
-    /// the two, where that is known.
+    /// the two, where they are parallel and that is known.
     centre: Point3<f64>,
     gap: Option<Matrix3<f64>>,
 }
@@ -154,11 +155,12 @@ impl<'a> Against<'a> {
         wall: &'a Wall<'a>,
         world_from_plane: &Isometry3<f64>,
         denied: bool,
-        gap: Option<Matrix3<f64>>,
+        gap: impl FnOnce(usize) -> Matrix3<f64>,
     ) -> Self {
         let parallel =
             wall.normal.dot(&(world_from_plane.rotation * Vector3::z())) > PARALLEL_COSINE;
         let centre = wall.plane_from_world * Point3::from(world_from_plane.translation.vector);
+        let gap = wall.plane.filter(|_| parallel).map(gap);
         Self { wall, parallel, denied, centre, gap }
     }
 
@@ -178,7 +180,7 @@ impl<'a> Against<'a> {
     /// as well as the pair is.
     fn gap_margin_m(&self, point: &Point3<f64>, target: &Point3<f64>) -> f64 {
         let ray_m = self.wall.ray_margin_m(point);
-        let Some(gap) = self.gap.filter(|_| self.parallel) else { return ray_m };
+        let Some(gap) = self.gap else { return ray_m };
         // A point at (x, y) from the centre moves by δz - θ x + ψ y.
         let row = Vector3::new(1.0, self.centre.x - target.x, target.y - self.centre.y);
         let sigma_m = row.dot(&(gap * row)).max(0.0).sqrt();
@@ -364,7 +366,7 @@ mod tests {
         let refuted = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64, tight: bool| {
             let sigmas = Vector3::new(sigma_m, sigma_rad, sigma_rad);
             let gap = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
-            Against::new(&wall, &over, false, Some(gap)).refutes(&point, tight)
+            Against::new(&wall, &over, false, |_| gap).refutes(&point, tight)
         };
         let point = Point3::new(1.0, -1.0, 0.05);
         assert!(refuted(point, 0.002, 0.001, true));
