@@ -60,6 +60,11 @@ impl Field {
         self.range[cell] > 0.0
     }
 
+    /// Whether it is known what the tilts of the grid's rows are off by.
+    pub fn knows_row_errors(&self) -> bool {
+        self.row_sigmas_rad.iter().any(|&sigma| sigma > 0.0)
+    }
+
     /// Standard deviation of the range of a cell in metres.
     pub fn sigma_m(&self, cell: usize) -> f64 {
         f64::from(self.range[cell] / self.gain[cell])

@@ -214,6 +214,11 @@ impl NoiseEstimator {
     pub fn estimate(&mut self, field: &Field) -> ReadingErrors {
         let [nearest, farthest] = field.extent();
         let span = (nearest, RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3));
+        if field.knows_row_errors() {
+            let (down, right) = if field.transposed { (1, 0) } else { (0, 1) };
+            let (within, _) = self.measure(field, span, Probe { down, right, ..Probe::near() });
+            return ReadingErrors::independent(self.model([&within]));
+        }
         let pitch = ((field.across_rad / field.along_rad).round() as usize).clamp(3, 8);
         let near = self.measure(field, span, Probe::near());
         let (along, _) = self.measure(field, span, Probe::far(pitch, 0));

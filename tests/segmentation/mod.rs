@@ -3,6 +3,7 @@
 mod campaign;
 mod covariance;
 mod errors;
+mod fans;
 mod robustness;
 mod scanner;
 mod scenes;
