@@ -55,15 +55,29 @@ impl Field {
                 if !self.is_valid(cell) {
                     continue;
                 }
-                // The smaller of the slopes to both sides: an edge has one on one side.
-                let mut slope = f32::INFINITY;
-                for other in [line.wrapping_sub(reach), line + reach] {
-                    if other < lines && self.is_valid(other * next + place * within) {
-                        let rise = self.inverse[other * next + place * within] - self.inverse[cell];
-                        let turn = positions_rad[other] - positions_rad[line];
-                        slope = slope.min((rise / turn).abs() * self.range[cell]);
+                // The smaller of the slopes to both sides: an edge has one on one side. At the end of the
+                // grid, or of what came back, that of the next stretch stands for the missing side.
+                let slope_of = |a: usize, b: usize| {
+                    if a.max(b) >= lines {
+                        return f32::INFINITY;
                     }
-                }
+                    let cells = [a, b].map(|line| line * next + place * within);
+                    if cells.into_iter().any(|cell| !self.is_valid(cell)) {
+                        return f32::INFINITY;
+                    }
+                    let rise = self.inverse[cells[1]] - self.inverse[cells[0]];
+                    (rise / (positions_rad[b] - positions_rad[a])).abs()
+                };
+                let (before, after) = (line.wrapping_sub(reach), line + reach);
+                let [back, ahead] = [slope_of(before, line), slope_of(line, after)];
+                let slope = if back.is_infinite() {
+                    ahead.min(slope_of(after, after + reach))
+                } else if ahead.is_infinite() {
+                    back.min(slope_of(before.wrapping_sub(reach), before))
+                } else {
+                    back.min(ahead)
+                };
+                let slope = slope * self.range[cell];
                 let slope = if slope.is_finite() { slope.min(STEEPEST) } else { 0.0 };
                 let error = slope * sigmas_rad[line] * self.gain[cell];
                 self.gain[cell] /= (1.0 + error * error).sqrt();
