@@ -46,8 +46,8 @@ impl Field {
     ) {
         let lines = sigmas_rad.len();
         let reach = ((SLOPE_RAD / pitch_rad) as usize).clamp(1, MOST_LINES);
-        for line in 0..lines {
-            if sigmas_rad[line] <= 0.0 {
+        for (line, &sigma_rad) in sigmas_rad.iter().enumerate() {
+            if sigma_rad <= 0.0 {
                 continue;
             }
             for place in 0..self.len() / lines {
@@ -79,7 +79,7 @@ impl Field {
                 };
                 let slope = slope * self.range[cell];
                 let slope = if slope.is_finite() { slope.min(STEEPEST) } else { 0.0 };
-                let error = slope * sigmas_rad[line] * self.gain[cell];
+                let error = slope * sigma_rad * self.gain[cell];
                 self.gain[cell] /= (1.0 + error * error).sqrt();
             }
         }
