@@ -4,10 +4,11 @@ use super::Stage;
 use super::axes::candidate_axes;
 use super::components::{Components, NONE};
 use super::config::SegmentationConfig;
+use super::doubt::Doubts;
 use super::field::Field;
 use super::fit::{
-    Columns, Fitted, Model, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR, centroid_of,
-    choose, fit_plane, is_flat, plane_of, settle, settle_known,
+    Columns, Fitted, Model, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR, SUMMED_SQUARE,
+    centroid_of, choose, fit_plane, is_flat, plane_of, settle, settle_known,
 };
 use super::hull::HullFinder;
 use super::stick_chain::Found;
@@ -35,10 +36,19 @@ const THICKEST: f64 = 0.1;
 const FEWEST_CORE: usize = 12;
 const LEAST_CORE_SHARE: f64 = 0.3;
 
+/// Mean square error of a plane, beyond one and in units of the noise, from which on a step or the like
+/// is looked for in it.
+const DOUBTED_EXCESS: f64 = 0.5;
+/// Most times that regions are parted.
+const PARTINGS: usize = 4;
+
 /// Buffers that make results without new allocations.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Assembler {
     components: Components,
+    doubts: Doubts,
+    /// Cells, each once, among which are all at which labels meet.
+    borders: Vec<u32>,
     /// Cells at borders, with their components.
     border: Vec<(u32, u32)>,
     /// Cells at a border, one count for each component, and whether it can spare them.
@@ -60,6 +70,31 @@ struct FittedRegion {
     component: usize,
     shape: Fitted,
     centroid: Vector3<f64>,
+    /// Whether there are readings that a plane does not explain.
+    doubtful: bool,
+}
+
+/// What is known of labels: found by a chain, or parts of such.
+#[derive(Clone, Copy)]
+struct Known<'a> {
+    found: &'a Found<'a>,
+    parts: &'a [[f64; 3]],
+}
+
+impl<'a> Known<'a> {
+    /// The plane `q · p = 1` of a label.
+    fn plane(&self, label: u32) -> [f64; 3] {
+        let label = label as usize;
+        match self.found.moments.get(label) {
+            Some(moments) => moments.solve(),
+            None => self.parts[label - self.found.moments.len()],
+        }
+    }
+
+    /// What a label was found to be instead of a plane.
+    fn model(&self, label: u32) -> Option<&'a Model> {
+        self.found.models.get(label as usize).and_then(Option::as_ref)
+    }
 }
 
 impl Assembler {
@@ -77,7 +112,25 @@ impl Assembler {
         (result.rows, result.columns) = (rows, columns);
         self.components.find(labels, field.lanes);
         self.number_regions(field, config, result);
-        self.fit_regions(field, config, labels, &found);
+        self.borders.clear();
+        self.borders.extend_from_slice(found.border);
+        self.fit_regions(field, config, labels, Known { found: &found, parts: &[] });
+        if self.fitted.iter().any(|region| region.doubtful) {
+            let mut doubts = std::mem::take(&mut self.doubts);
+            doubts.start(labels);
+            for _ in 0..PARTINGS {
+                if !self.part_doubtful(field, config, &found, &mut doubts) {
+                    break;
+                }
+                self.spare_reasons
+                    .extend(result.rejected.drain(..).map(|rejected| rejected.reason));
+                self.components.find(&doubts.labels, field.lanes);
+                self.number_regions(field, config, result);
+                let known = Known { found: &found, parts: &doubts.planes };
+                self.fit_regions(field, config, &doubts.labels, known);
+            }
+            self.doubts = doubts;
+        }
         observe(Stage::Fit);
         self.write_surfaces(field, result);
         self.write_labels(field, result);
@@ -147,18 +200,45 @@ impl Assembler {
         field: &Field,
         config: &SegmentationConfig,
         labels: &[u32],
-        found: &Found,
+        known: Known,
     ) {
-        self.leave_borders_out(field, found.border);
+        self.leave_borders_out(field);
         self.fitted.clear();
         for k in 0..self.order.len() {
             let (_, component) = self.order[k];
             let label = labels[self.middle(component)];
-            let q = found.moments[label as usize].solve();
-            let model = found.models.get(label as usize).and_then(Option::as_ref);
-            let (shape, centroid) = self.fit_region(field, component, config, q, model);
-            self.fitted.push(FittedRegion { component, shape, centroid });
+            let (q, model) = (known.plane(label), known.model(label));
+            let region = self.fit_region(field, component, config, q, model);
+            self.fitted.push(region);
         }
+    }
+
+    /// Parts the planes that do not explain all of their readings; returns whether there were any that
+    /// could be parted.
+    fn part_doubtful(
+        &mut self,
+        field: &Field,
+        config: &SegmentationConfig,
+        found: &Found,
+        doubts: &mut Doubts,
+    ) -> bool {
+        let mut parted = false;
+        let count = (found.moments.len(), config.min_points.max(3));
+        for FittedRegion { component, shape, doubtful, .. } in &self.fitted {
+            if let (true, Fitted::Plane(plane)) = (doubtful, shape) {
+                let (normal, offset_m) = plane.equation();
+                let q = (normal / offset_m).into();
+                if doubts.part(field, &self.components, *component, q, count) {
+                    self.borders.extend(self.components.cells(*component).map(|cell| cell as u32));
+                    parted = true;
+                }
+            }
+        }
+        if parted {
+            self.borders.sort_unstable();
+            self.borders.dedup();
+        }
+        parted
     }
 
     /// A cell in the middle of a component.
@@ -177,21 +257,28 @@ impl Assembler {
         config: &SegmentationConfig,
         q: [f64; 3],
         model: Option<&Model>,
-    ) -> (Fitted, Vector3<f64>) {
+    ) -> FittedRegion {
         let cells = self.components.sizes[component];
         let sums = self.sum_up(field, component, q);
         let error = sums.totals[SUMMED_ERROR];
+        let fitted = |shape: Fitted, sums: &PlaneSums| {
+            // Readings that are worth one each.
+            let n = (cells as f64 / field.errors.patch).max(1.0);
+            let excess = DOUBTED_EXCESS.max(4.0 * (2.0 / n).sqrt());
+            let doubtful = sums.totals[SUMMED_SQUARE] > cells as f64 * (1.0 + excess);
+            FittedRegion { component, shape, centroid: centroid_of(sums), doubtful }
+        };
         if let Some(plane) = plane_of(&sums)
             && is_flat(error, cells, &plane, &config.limits, &field.errors)
         {
-            return (Fitted::Plane(plane), centroid_of(&sums));
+            return fitted(Fitted::Plane(plane), &sums);
         }
         if let Some(model) = model {
             let cells = self.components.cells(component);
             gather(field, cells, &self.fit_gain, &mut self.readings);
             let (limits, errors) = (&config.limits, &field.errors);
             if let Some(shape) = settle_known(&self.readings, model, limits, errors, error) {
-                return (shape, centroid_of(&sums));
+                return fitted(shape, &sums);
             }
         }
         match self.choose_shape(field, component, config) {
@@ -199,20 +286,20 @@ impl Assembler {
                 // The readings' own plane is the better start.
                 let (normal, offset_m) = plane.equation();
                 let sums = self.sum_up(field, component, (normal / offset_m).into());
-                (plane_of(&sums).map_or(Fitted::Other, Fitted::Plane), centroid_of(&sums))
+                fitted(plane_of(&sums).map_or(Fitted::Other, Fitted::Plane), &sums)
             }
-            shape => (shape, centroid_of(&sums)),
+            shape => fitted(shape, &sums),
         }
     }
 
     /// Takes the gains of the cells at borders to other regions away: which region they belong to
     /// was decided by their error, so they would bias a fit. Small regions keep theirs.
-    fn leave_borders_out(&mut self, field: &Field, border: &[u32]) {
+    fn leave_borders_out(&mut self, field: &Field) {
         let components = &self.components;
         self.border_cells.clear();
         self.border_cells.resize(components.len(), 0);
         self.border.clear();
-        for &cell in border {
+        for &cell in &self.borders {
             let component = components.of_cell[cell as usize];
             if component != NONE && !components.is_core(cell as usize, field) {
                 self.border_cells[component as usize] += 1;
@@ -282,7 +369,7 @@ impl Assembler {
         // Readings that err alike tell less than their number says.
         let patch = field.errors.patch;
         for (index, region) in self.fitted.drain(..).enumerate() {
-            let FittedRegion { component, shape, centroid } = region;
+            let FittedRegion { component, shape, centroid, .. } = region;
             let cells = self.components.cells(component);
             let count = self.components.sizes[component];
             let distances = |model: &Model| {

@@ -14,6 +14,7 @@ mod components;
 mod config;
 mod curve;
 mod cut;
+mod doubt;
 mod facets;
 mod field;
 mod fill;

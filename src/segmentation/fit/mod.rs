@@ -15,7 +15,10 @@ mod sums;
 pub(super) use choose::{choose, improve_model, is_flat, settle, settle_known, settle_model};
 pub(super) use cylinder::across;
 pub(super) use plane::{PlaneFit, centroid_of, fit_plane, plane_of};
-pub(super) use sums::{Columns, PlaneSums, Reference, place::ERROR as SUMMED_ERROR};
+pub(super) use sums::{
+    Columns, PlaneSums, Reference,
+    place::{ERROR as SUMMED_ERROR, SQUARE as SUMMED_SQUARE},
+};
 
 use round::RayColumns;
 
@@ -23,7 +26,7 @@ use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, SMatrix, SVector, Unit, Vector
 
 /// Least cosine of the angle of incidence that weights believe in: beyond 87° the error is no
 /// longer that of the range but of the ray's angle.
-const LEAST_COSINE: f64 = 0.05;
+pub(super) const LEAST_COSINE: f64 = 0.05;
 /// Least cosine of incidence of the readings that settle a sphere or a cylinder: nearer the rim a
 /// reading may as well have missed, so those that did not are no fair sample.
 const RIM_COSINE: f64 = 0.3;

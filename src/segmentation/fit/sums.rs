@@ -56,7 +56,9 @@ pub(in super::super) mod place {
     pub const INLIERS: usize = 30;
     /// Squared gains.
     pub const GAIN: usize = 31;
-    pub const COUNT: usize = 32;
+    /// Squared errors in units of the noise, as they are.
+    pub const SQUARE: usize = 32;
+    pub const COUNT: usize = 33;
 }
 
 /// The sums.
@@ -192,6 +194,7 @@ fn add<S: Simd>(
     let capped = simd.min_f32s(square, simd.splat_f32s((CAP * CAP) as f32));
     plus(simd, &mut sums[place::ERROR], capped);
     plus(simd, &mut sums[place::INLIERS], counted);
+    plus(simd, &mut sums[place::SQUARE], square);
     plus_product(simd, &mut sums[place::GAIN], gain, gain);
     let mut pair = 0;
     for i in 0..3 {
