@@ -36,6 +36,14 @@ const THICKEST: f64 = 0.1;
 const FEWEST_CORE: usize = 12;
 const LEAST_CORE_SHARE: f64 = 0.3;
 
+/// Share of a region's cells that are on further lines of the grid than the two that have most of them,
+/// below which the region is no plane by itself: through two lines there is one whatever they lie on, and
+/// nothing that contradicts it.
+const BEYOND_TWO_LINES: f64 = 0.1;
+/// Mean square error, in units of the noise, of two lines on a plane seen elsewhere that they may be a
+/// further piece of; both may have an error that all of a line has in common.
+const SAME_PLANE: f64 = 4.0;
+
 /// Mean square error of a plane, beyond one and in units of the noise, from which on a step or the like
 /// is looked for in it.
 const DOUBTED_EXCESS: f64 = 0.5;
@@ -58,6 +66,9 @@ pub(super) struct Assembler {
     fit_gain: Vec<f32>,
     readings: Readings,
     fitted: Vec<FittedRegion>,
+    /// Planes that were seen on more than two lines, and the fitted regions that were not.
+    planes: Vec<[f64; 3]>,
+    guesses: Vec<usize>,
     order: Vec<(usize, usize)>,
     hull: HullFinder,
     spare_hulls: Vec<Vec<Point2<f64>>>,
@@ -131,6 +142,7 @@ impl Assembler {
             }
             self.doubts = doubts;
         }
+        self.refuse_guesses(field);
         observe(Stage::Fit);
         self.write_surfaces(field, result);
         self.write_labels(field, result);
@@ -363,6 +375,30 @@ impl Assembler {
         settle(&self.readings, chosen, &config.limits).unwrap_or_else(|| {
             fit_plane(&mut self.readings).map_or(Fitted::Other, |(plane, _)| Fitted::Plane(plane))
         })
+    }
+
+    /// Takes planes through two lines of the grid for none, unless they lie on one that was seen better.
+    fn refuse_guesses(&mut self, field: &Field) {
+        self.planes.clear();
+        self.guesses.clear();
+        for (k, FittedRegion { component, shape, .. }) in self.fitted.iter().enumerate() {
+            let Fitted::Plane(plane) = shape else { continue };
+            let beyond = self.components.beyond_two_lines(*component) as f64;
+            if beyond < BEYOND_TWO_LINES * self.components.sizes[*component] as f64 {
+                self.guesses.push(k);
+            } else {
+                let (normal, offset_m) = plane.equation();
+                self.planes.push((normal / offset_m).into());
+            }
+        }
+        for &k in &self.guesses {
+            let component = self.fitted[k].component;
+            let most = SAME_PLANE * self.components.sizes[component] as f64;
+            let error = |&q: &[f64; 3]| self.sum_up(field, component, q).totals[SUMMED_ERROR];
+            if !self.planes.iter().any(|q| error(q) < most) {
+                self.fitted[k].shape = Fitted::Other;
+            }
+        }
     }
 
     fn write_surfaces(&mut self, field: &Field, result: &mut Segmentation) {

@@ -42,6 +42,46 @@ fn length_of_run(labels: &[u32]) -> usize {
     8 * whole + left.iter().take_while(|&&label| label == labels[0]).count()
 }
 
+/// Lines of one direction that are counted; a region on more of them is no strip.
+const COUNTED_LINES: usize = 8;
+
+/// How many cells of a region are on each line of one direction.
+#[derive(Default)]
+struct LineCounts {
+    lines: [(usize, usize); COUNTED_LINES],
+    count: usize,
+    many: bool,
+}
+
+impl LineCounts {
+    fn add(&mut self, line: usize, cells: usize) {
+        if self.many {
+            return;
+        }
+        if let Some(known) = self.lines[..self.count].iter_mut().find(|known| known.0 == line) {
+            known.1 += cells;
+        } else if self.count < COUNTED_LINES {
+            self.lines[self.count] = (line, cells);
+            self.count += 1;
+        } else {
+            self.many = true;
+        }
+    }
+
+    fn beyond_two(&self) -> usize {
+        if self.many {
+            return usize::MAX;
+        }
+        let (mut first, mut second, mut all) = (0, 0, 0);
+        for &(_, cells) in &self.lines[..self.count] {
+            all += cells;
+            (first, second) =
+                if cells > first { (cells, first) } else { (first, second.max(cells)) };
+        }
+        all - first - second
+    }
+}
+
 /// No component.
 pub(super) const NONE: u32 = u32::MAX;
 
@@ -62,6 +102,24 @@ impl Components {
     /// The cells of a component, in order.
     pub fn cells(&self, component: usize) -> impl Iterator<Item = usize> + Clone + '_ {
         self.runs(component).flatten()
+    }
+
+    /// Cells of a component that are on neither of the two lines of the grid, of one direction, that
+    /// have most of them; counted across no more lines than are told apart.
+    pub fn beyond_two_lines(&self, component: usize) -> usize {
+        let width = self.width as usize;
+        let mut rows = LineCounts::default();
+        let mut columns = LineCounts::default();
+        for run in self.runs(component) {
+            rows.add(run.start / width, run.len());
+            columns.many |= run.len() > COUNTED_LINES;
+            if !columns.many {
+                run.for_each(|cell| columns.add(cell % width, 1));
+            } else if rows.many {
+                break;
+            }
+        }
+        rows.beyond_two().min(columns.beyond_two())
     }
 
     /// Finds the components of `labels`; 0 is no label. They are numbered by their first cell, and

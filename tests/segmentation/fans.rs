@@ -106,3 +106,90 @@ fn a_slab_of_8_cm_is_not_the_floor_beside_it() {
         }
     }
 }
+
+/// Rows from the ceiling to the ground.
+fn wide_deg() -> Vec<f64> {
+    (0..40).map(|row| -20.0 + 1.0 * f64::from(row) + 0.3 * f64::from(row % 3)).collect()
+}
+
+/// The surfaces that have most of the cells of a true one, as far as these have a label.
+fn most_of<'a>(scan: &Scan, result: &'a Segmentation, solid: usize) -> Vec<&'a Surface> {
+    let cells_of = |surface: &Surface, of_solid: bool| {
+        let labels = scan.truth.iter().zip(&result.labels);
+        labels.filter(|(t, l)| **l == surface.id && (**t == solid || !of_solid)).count()
+    };
+    let is_most = |surface: &&Surface| 2 * cells_of(surface, true) > cells_of(surface, false);
+    result.surfaces.iter().filter(is_most).collect()
+}
+
+#[test]
+fn a_column_a_few_beams_wide_is_no_plane() {
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    for (distance, seed) in [3.0, 5.0, 7.0, 9.0, 12.0, 14.0].into_iter().zip(0..) {
+        let mut world = World::default();
+        world.room([-2.0, -8.0, 22.0, 8.0], 60.0);
+        world.drum([distance, 0.3, 0.0], [0.0, 0.0, 1.0], 0.25, 6.0);
+        let column = world.solids.len() - 2;
+        let (scan, grid) = fan_over(&world, &wide_deg(), 0.6, seed);
+        let result = segmenter.segment(&grid);
+        for surface in most_of(&scan, result, column) {
+            let is_plane = matches!(surface.shape, Shape::Plane(_));
+            assert!(!is_plane, "{distance} m: {} points are a plane", surface.points);
+        }
+    }
+}
+
+#[test]
+fn two_rows_are_a_plane_where_one_seen_better_goes_on() {
+    // A floor of which far off, beyond a trench, two rows are seen, or something lower there.
+    let tilts_deg = [7.0, 8.2, 10.5, 11.2, 12.0, 13.0, 15.0, 17.0, 19.0, 22.0, 25.0];
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    for (drop_m, expected) in [(0.0, true), (0.25, false)] {
+        let mut world = World::default();
+        world.patch([0.5, -9.0, 0.0], [2.9, 0.0, 0.0], [0.0, 18.0, 0.0]);
+        world.patch([3.9, -9.0, -drop_m], [40.0, 0.0, 0.0], [0.0, 18.0, 0.0]);
+        let (scan, grid) = fan_over(&world, &tilts_deg, 0.6, 3);
+        let result = segmenter.segment(&grid);
+        let planes: Vec<bool> = most_of(&scan, result, 2)
+            .iter()
+            .map(|surface| matches!(surface.shape, Shape::Plane(_)))
+            .collect();
+        assert_eq!(planes, [expected], "{drop_m} m lower");
+    }
+}
+
+#[test]
+fn a_wall_seen_edge_on_by_one_beam_is_no_plane() {
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    let mut world = World::default();
+    world.room([-2.0, -4.0, 9.0, 5.0], 60.0);
+    // The end of a thin wall: its side is seen at less than a degree.
+    world.standing(4.0, 0.0, [4.0, 0.1, 2.0], 0.012);
+    let (_, grid) = fan_over(&world, &wide_deg(), 0.6, 1);
+    for (surface, patch) in planes(segmenter.segment(&grid)) {
+        let plane = patch.plane();
+        let cosine = plane.offset_m.abs() / surface.centroid.coords.norm();
+        assert!(cosine > 0.05, "{} points under a cosine of {cosine:.3}", surface.points);
+        assert!(surface.rms_m < 0.03, "{} points of rms {:.3} m", surface.points, surface.rms_m);
+    }
+}
+
+#[test]
+fn what_lies_far_behind_a_wall_at_the_end_of_the_fan_is_none_of_it() {
+    let mut world = World::default();
+    world.patch([14.0, -20.0, -5.0], [0.0, 40.0, 0.0], [0.0, 0.0, 15.0]);
+    let (scan, grid) = fan_over(&world, &wide_deg(), 0.6, 5);
+    let mut points = grid.points().to_vec();
+    let behind = [10, 11, 60, 61, 62, 110];
+    for cell in behind {
+        points[cell] = points[cell].map(|v| 1.09 * v);
+    }
+    let rows = grid.rows();
+    let grid =
+        PointGrid::new(rows, COLUMNS, points).with_row_sigmas(vec![0.16_f32.to_radians(); rows]);
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    let result = segmenter.segment(&grid);
+    let wall = most_of(&scan, result, 1);
+    assert!(wall.iter().all(|surface| surface.rms_m < 0.05), "{:.3} m", wall[0].rms_m);
+    assert!(behind.iter().all(|&cell| result.labels[cell] == 0));
+}
