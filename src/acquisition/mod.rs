@@ -22,6 +22,7 @@ mod park;
 mod policy;
 mod probe;
 mod profile;
+mod punctuality;
 mod ramp;
 mod reach;
 mod repeat;
@@ -65,7 +66,7 @@ pub use triples::{HEADING, RecordedTriples, TripleError};
 use crate::protocol::Dialect;
 use crate::robot::{Demand, GroundView, HeadPose, HeadReading, Rig, ScanHead};
 use crate::scan::LaserLine;
-use crate::time::{Arrival, Span, Stamp};
+use crate::time::{Arrival, Stamp};
 use calibrate::{Calibration, reference_profile};
 use nalgebra::Isometry3;
 use park::Park;
@@ -77,9 +78,9 @@ use way::Way;
 /// Speed of a pan-tilt link whose CONF is silent: CameraPanTilt's (protocol 5.4).
 const USUAL_LINK_SPEED_RAD_S: f64 = 0.17;
 
-/// A line to the server that became slower by less than this is what the calibration found, as far
-/// as sweeps in motion go.
-const TIMED: Span = Span::from_millis(300);
+/// A sweep that is meant to be taken in motion takes no longer than this at rest, in seconds: rows are
+/// left out before it keeps the robot standing for minutes.
+const LONGEST_AT_REST_S: f64 = 90.0;
 
 /// What the acquisition is told.
 #[derive(Clone, Copy, Debug)]
@@ -199,6 +200,17 @@ impl Acquisition {
         self.control.timing().calibrated
     }
 
+    /// Whether messages come later than when the small times were found, so that sweeps in motion have to
+    /// wait for another calibration.
+    pub fn wants_calibration(&self) -> bool {
+        self.is_calibrated() && self.control.wants_calibration()
+    }
+
+    /// Seconds by which commands are obeyed later than the configuration supposes.
+    pub fn obeyed_late_s(&self) -> f64 {
+        (self.control.obeyed_within() - self.config.command_latency()).seconds().max(0.0)
+    }
+
     /// Whether the tilt was found not to turn at all.
     pub fn is_stuck(&self) -> bool {
         self.control.reach().stuck_rad().is_some()
@@ -236,8 +248,7 @@ impl Acquisition {
             clipped.map(|clipped| format!("the tilt's limits cut {} rows off", clipped.rows));
         let coarse = self.config.coarse_tolerance_deg.to_radians();
         // Nothing but the times of commands tells where a tilt without readings is in motion.
-        let timed = self.control.clock().slower_by() < TIMED
-            || self.control.clock().latest().is_some_and(|latest| self.control.reads_at(latest));
+        let timed = self.control.sure_until().is_none();
         let (drive, tolerance_rad) = match request.mode {
             SweepMode::Settled { tolerance_rad } => (None, tolerance_rad),
             _ if !self.is_calibrated() || !timed => (None, coarse),
@@ -249,13 +260,19 @@ impl Acquisition {
             }
             SweepMode::Flowing | SweepMode::Nodding => (Some(FlowDrive::SetPoints), coarse),
         };
+        let at_rest = matches!(request.mode, SweepMode::Settled { .. });
+        let (profile, thinned) = match drive {
+            None if !at_rest => self.thinned(profile),
+            _ => (profile, None),
+        };
+        let limited = limited.into_iter().chain(thinned);
         let (control, config) = (&mut self.control, &self.config);
         let pan_rad = request.pan_rad;
         let actions = match drive {
             None => {
                 let (mut sweep, actions) =
                     Sweep::start(profile, pan_rad, tolerance_rad, control, config, now);
-                limited.into_iter().for_each(|text| sweep.remark(text));
+                limited.for_each(|text| sweep.remark(text));
                 let over = sweep.is_finished();
                 self.activity =
                     if over { Activity::Idle } else { Activity::Sweeping(Box::new(sweep)) };
@@ -264,7 +281,7 @@ impl Acquisition {
             Some(drive) => {
                 let (mut flow, actions) =
                     Flow::start(Way { profile, drive }, pan_rad, driving, control, config, now);
-                limited.into_iter().for_each(|text| flow.remark(text));
+                limited.for_each(|text| flow.remark(text));
                 let over = flow.is_finished();
                 self.activity =
                     if over { Activity::Idle } else { Activity::Flowing(Box::new(flow)) };
@@ -274,17 +291,39 @@ impl Acquisition {
         news.into_iter().chain(actions).collect()
     }
 
-    /// The sweep that shows most of `interest` per second, in motion if `flowing`; `None` for a laser
-    /// that cannot tilt.
+    /// The rows of `profile` that can be taken at rest in a reasonable time, evenly spread, and what to
+    /// say of it.
+    fn thinned(&self, profile: Profile) -> (Profile, Option<String>) {
+        let one_of = |every: usize| {
+            let tilts = profile.tilts.iter().step_by(every).copied().collect();
+            Profile { name: profile.name.clone(), tilts }
+        };
+        let seconds = |profile: &Profile| self.seconds_for(profile, false);
+        let is_short = |&every: &usize| seconds(&one_of(every)) <= LONGEST_AT_REST_S;
+        let every = (1..profile.len()).find(is_short).unwrap_or(1);
+        if every == 1 {
+            return (profile, None);
+        }
+        let thinned = one_of(every);
+        let row_s = seconds(&thinned) / thinned.len() as f64;
+        let text = format!(
+            "the tilt has to rest at each row, for {row_s:.1} s: one of {every} rows is taken"
+        );
+        (thinned, Some(text))
+    }
+
+    /// The sweep that shows most of `interest` per second, in motion if `flowing`, where `between_s`
+    /// seconds pass from one sweep to the next; `None` for a laser that cannot tilt.
     pub fn choose(
         &self,
         view: &GroundView<'_>,
         interest: &Interest,
         flowing: bool,
+        between_s: f64,
     ) -> Option<Offer> {
         let pace = policy::Pace::of(&self.control, &self.config, flowing && self.is_calibrated());
         let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
-        policy::choose(view, &self.config.fan, interest, &pace, tilt_rad)
+        policy::choose(view, &self.config.fan, interest, &pace, (tilt_rad, between_s))
     }
 
     /// `profile` with the fine rows that `interest` requires, and how many had to be added.

@@ -40,7 +40,8 @@ pub(super) fn choose(
     let mut profile = reachable(Profile::ground_fan(view, &fan), view);
     profile.tilts.sort();
     profile.name = "nod".to_owned();
-    let Some(standing) = choose_standing(view, config, interest, pace, tilt_rad) else {
+    let Some(standing) = choose_standing(view, config, interest, pace, (tilt_rad, terms.stop_s))
+    else {
         return Err("the laser cannot tilt".to_owned());
     };
     let nod_s = pace.seconds(&profile, tilt_rad);

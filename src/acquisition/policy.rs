@@ -89,6 +89,8 @@ pub(super) struct Pace {
     interval_s: f64,
     tolerance_rad: f64,
     unknown_settle_s: f64,
+    /// What a command takes to be obeyed.
+    obeyed_s: f64,
 }
 
 impl Pace {
@@ -99,6 +101,7 @@ impl Pace {
             interval_s: control.rhythm.interval().seconds(),
             tolerance_rad: config.coarse_tolerance_deg.to_radians(),
             unknown_settle_s: config.unknown_settle_s,
+            obeyed_s: control.obeyed_within().seconds(),
         }
     }
 
@@ -123,7 +126,10 @@ impl Pace {
                 self.travel_s(step_rad).max(self.interval_s * lines.max(1.0))
             }
             // The line after the one during which the tilt came to rest.
-            None => ((settle(step_rad) / self.interval_s).ceil() + 1.0) * self.interval_s,
+            None => {
+                let rests_s = self.obeyed_s + settle(step_rad);
+                ((rests_s / self.interval_s).ceil() + 1.0) * self.interval_s
+            }
         };
         let approach_rad = first.radians() - tilt_rad;
         let rows: f64 = tilts.windows(2).map(|w| row_s(w[1].radians() - w[0].radians())).sum();
@@ -141,7 +147,8 @@ pub(super) const WALLS_M2: f64 = 4.0;
 /// and an edge could hide between two of them.
 const FINE_RING_M: f64 = 0.1;
 
-/// The sweep that shows most per second among the whole fan, fans of interest, a coarse fan, and the
+/// The sweep that shows most per second, the `between_s` seconds counted that pass anyway from one sweep
+/// to the next: what is left out here has to be driven to once more. It is chosen among the whole fan, fans of interest, a coarse fan, and the
 /// whole height in coarse or in fine rows; every one of them with the fine rows that `interest`
 /// requires. `None` for a laser that cannot tilt.
 pub(super) fn choose(
@@ -149,7 +156,7 @@ pub(super) fn choose(
     config: &FanConfig,
     interest: &Interest,
     pace: &Pace,
-    tilt_rad: f64,
+    (tilt_rad, between_s): (f64, f64),
 ) -> Option<Offer> {
     let mode = match pace.flowing {
         Some(_) => SweepMode::Flowing,
@@ -182,7 +189,7 @@ pub(super) fn choose(
         ])
         .filter_map(|(name, profile)| offer(&name, profile))
         .collect();
-    let per_second = |offer: &Offer| (offer.gain_m2 + WALLS_M2) / offer.seconds;
+    let per_second = |offer: &Offer| (offer.gain_m2 + WALLS_M2) / (offer.seconds + between_s);
     let best_of = |offers: &mut dyn Iterator<Item = &Offer>| {
         let better = |a, b| if per_second(b) > per_second(a) { b } else { a };
         offers.reduce(better).cloned()
@@ -259,6 +266,7 @@ pub(super) fn hinge_pace() -> Pace {
         interval_s: 0.2,
         tolerance_rad: 0.001,
         unknown_settle_s: 1.5,
+        obeyed_s: 0.06,
     }
 }
 
@@ -272,7 +280,7 @@ mod tests {
     fn chosen(interest: &Interest) -> Offer {
         let head = head(Some(AngleSpan::new(-1.0, 1.0)), Some(0.17));
         let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: FRAC_PI_2 };
-        choose(&view, &FanConfig::default(), interest, &hinge_pace(), 0.3).unwrap()
+        choose(&view, &FanConfig::default(), interest, &hinge_pace(), (0.3, 0.0)).unwrap()
     }
 
     /// Unseen ground right before the robot alone.
@@ -330,7 +338,7 @@ mod tests {
             let head = head(Some(limits), Some(0.17));
             let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: FRAC_PI_2 };
             let config = FanConfig::default();
-            let offer = choose(&view, &config, &interest, &hinge_pace(), 0.18).unwrap();
+            let offer = choose(&view, &config, &interest, &hinge_pace(), (0.18, 0.0)).unwrap();
             let tilts = &offer.request.profile.tilts;
             assert!(tilts.iter().all(|tilt| limits.contains(tilt.radians())), "{tilts:?}");
             let seen = |tilt: f64| view.ground_ahead_m(tilt).unwrap_or(f64::INFINITY);

@@ -138,7 +138,7 @@ impl Running {
         if let Some(laser) = &mut self.rig.laser {
             laser.head.limit_tilt(reach.limits());
         }
-        self.pilot.refit(desk.config, &self.rig);
+        self.pilot.refit(desk.config, &self.rig, self.pilot.late_s());
         let explore = explorer(desk.config, &self.rig, self.acquisition.as_ref());
         self.explorer.sees(explore.config().blind_m, explore.config().scan_s);
         if !self.may_explore(desk.config) {
