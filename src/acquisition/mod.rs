@@ -8,6 +8,7 @@
 
 mod body;
 mod calibrate;
+mod choosing;
 mod clock;
 mod config;
 mod control;
@@ -77,10 +78,6 @@ use way::Way;
 
 /// Speed of a pan-tilt link whose CONF is silent: CameraPanTilt's (protocol 5.4).
 const USUAL_LINK_SPEED_RAD_S: f64 = 0.17;
-
-/// A sweep that is meant to be taken in motion takes no longer than this at rest, in seconds: rows are
-/// left out before it keeps the robot standing for minutes.
-const LONGEST_AT_REST_S: f64 = 90.0;
 
 /// What the acquisition is told.
 #[derive(Clone, Copy, Debug)]
@@ -291,88 +288,10 @@ impl Acquisition {
         news.into_iter().chain(actions).collect()
     }
 
-    /// The rows of `profile` that can be taken at rest in a reasonable time, evenly spread, and what to
-    /// say of it.
-    fn thinned(&self, profile: Profile) -> (Profile, Option<String>) {
-        let one_of = |every: usize| {
-            let tilts = profile.tilts.iter().step_by(every).copied().collect();
-            Profile { name: profile.name.clone(), tilts }
-        };
-        let seconds = |profile: &Profile| self.seconds_for(profile, false);
-        let is_short = |&every: &usize| seconds(&one_of(every)) <= LONGEST_AT_REST_S;
-        let every = (1..profile.len()).find(is_short).unwrap_or(1);
-        if every == 1 {
-            return (profile, None);
-        }
-        let thinned = one_of(every);
-        let row_s = seconds(&thinned) / thinned.len() as f64;
-        let text = format!(
-            "the tilt has to rest at each row, for {row_s:.1} s: one of {every} rows is taken"
-        );
-        (thinned, Some(text))
-    }
-
-    /// The sweep that shows most of `interest` per second, in motion if `flowing`, where `between_s`
-    /// seconds pass from one sweep to the next; `None` for a laser that cannot tilt.
-    pub fn choose(
-        &self,
-        view: &GroundView<'_>,
-        interest: &Interest,
-        flowing: bool,
-        between_s: f64,
-    ) -> Option<Offer> {
-        let pace = policy::Pace::of(&self.control, &self.config, flowing && self.is_calibrated());
-        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
-        policy::choose(view, &self.config.fan, interest, &pace, (tilt_rad, between_s))
-    }
-
-    /// `profile` with the fine rows that `interest` requires, and how many had to be added.
-    pub fn with_required(
-        &self,
-        profile: Profile,
-        view: &GroundView<'_>,
-        interest: &Interest,
-    ) -> (Profile, usize) {
-        let before = profile.len();
-        let profile = policy::with_fine_rows(profile, view, interest);
-        let added = profile.len().saturating_sub(before);
-        (profile, added)
-    }
-
-    /// The sweep to be taken while the robot drives on, if that is worth more than stopping for one.
-    ///
-    /// # Errors
-    ///
-    /// Why none should be, in plain words.
-    pub fn choose_nod(
-        &self,
-        view: &GroundView<'_>,
-        interest: &Interest,
-        terms: &NodTerms,
-    ) -> Result<Offer, String> {
-        if !self.is_calibrated() {
-            return Err("the tilt's law is not known".to_owned());
-        }
-        let latest = self.control.clock().latest();
-        if !latest.is_some_and(|latest| self.control.reads_at(latest)) {
-            return Err("the tilt sends no readings that would show it stuck on the way".to_owned());
-        }
-        let pace = policy::Pace::of(&self.control, &self.config, true);
-        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
-        nod::choose(view, &self.config.fan, interest, &pace, tilt_rad, terms)
-    }
-
     /// Takes note of where the robot's body is, by odometry and inertial unit, in any frame that stays
     /// the same during a sweep.
     pub fn moved(&mut self, stamp: Stamp, frame_from_robot: Isometry3<f64>) {
         self.control.body.note(stamp, frame_from_robot);
-    }
-
-    /// How long a sweep over `profile` should take from where the tilt is, in seconds.
-    pub fn seconds_for(&self, profile: &Profile, flowing: bool) -> f64 {
-        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
-        let profile = profile.clone().from_nearer_end(tilt_rad);
-        policy::Pace::of(&self.control, &self.config, flowing).seconds(&profile, tilt_rad)
     }
 
     /// Ends a sweep that is under way and hands over what there is.

@@ -129,26 +129,6 @@ impl Running {
         self.activity = Activity::Settle { until, look };
     }
 
-    /// The same, but first of all it is found out anew how commands are obeyed if that has changed.
-    fn settle_calibrated(&mut self, look: Look, desk: &mut Desk<'_>) {
-        if !self.acquisition.as_ref().is_some_and(Acquisition::wants_calibration) {
-            return self.settle(look, desk);
-        }
-        desk.info("messages come later than they did: finding out anew how the tilt moves");
-        self.queue.push_front(look);
-        self.settle(Look::Calibrate, desk);
-    }
-
-    /// Drives no faster than a line to the server that became slower allows.
-    fn heed_latency(&mut self, desk: &mut Desk<'_>) {
-        const MATTERS_S: f64 = 0.2;
-        let late_s = self.acquisition.as_ref().map_or(0.0, Acquisition::obeyed_late_s);
-        if (late_s - self.pilot.late_s()).abs() > MATTERS_S {
-            self.pilot.refit(desk.config, &self.rig, late_s);
-            self.park(desk);
-        }
-    }
-
     fn begin_look(&mut self, look: Look, desk: &mut Desk<'_>) {
         if look == Look::SignTest {
             return self.begin_sign_test(desk);
