@@ -270,6 +270,7 @@ impl Calibration {
             return self.give_up("nothing was measured", now);
         };
         if control.is_otherwise_late() {
+            control.begin_calibration();
             return self.give_up("messages began to come late during the calibration", now);
         }
         let limits = control.head().tilt().and_then(|axis| axis.limits);

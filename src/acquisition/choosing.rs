@@ -20,7 +20,7 @@ impl Acquisition {
         flowing: bool,
         between_s: f64,
     ) -> Option<Offer> {
-        let pace = Pace::of(&self.control, &self.config, flowing && self.is_calibrated());
+        let pace = Pace::of(&self.control, &self.config, flowing && self.may_flow());
         let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
         policy::choose(view, &self.config.fan, interest, &pace, (tilt_rad, between_s))
     }
@@ -49,8 +49,8 @@ impl Acquisition {
         interest: &Interest,
         terms: &NodTerms,
     ) -> Result<Offer, String> {
-        if !self.is_calibrated() {
-            return Err("the tilt's law is not known".to_owned());
+        if !self.may_flow() {
+            return Err("the tilt's law is not known, or when it obeys".to_owned());
         }
         let latest = self.control.clock().latest();
         if !latest.is_some_and(|latest| self.control.reads_at(latest)) {
@@ -65,7 +65,13 @@ impl Acquisition {
     pub fn seconds_for(&self, profile: &Profile, flowing: bool) -> f64 {
         let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
         let profile = profile.clone().from_nearer_end(tilt_rad);
+        let flowing = flowing && self.may_flow();
         Pace::of(&self.control, &self.config, flowing).seconds(&profile, tilt_rad)
+    }
+
+    /// Whether it is known where the tilt is in motion.
+    pub(super) fn may_flow(&self) -> bool {
+        self.is_calibrated() && self.control.sure_until().is_none()
     }
 
     /// The rows of `profile` that can be taken at rest in a reasonable time, evenly spread, and what to

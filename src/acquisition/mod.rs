@@ -244,11 +244,9 @@ impl Acquisition {
         let limited =
             clipped.map(|clipped| format!("the tilt's limits cut {} rows off", clipped.rows));
         let coarse = self.config.coarse_tolerance_deg.to_radians();
-        // Nothing but the times of commands tells where a tilt without readings is in motion.
-        let timed = self.control.sure_until().is_none();
         let (drive, tolerance_rad) = match request.mode {
             SweepMode::Settled { tolerance_rad } => (None, tolerance_rad),
-            _ if !self.is_calibrated() || !timed => (None, coarse),
+            _ if !self.may_flow() => (None, coarse),
             SweepMode::Continuous { rate_rad_s, cycle_s } if self.rates => {
                 (Some(FlowDrive::Rate { rate_rad_s, cycle_s }), coarse)
             }

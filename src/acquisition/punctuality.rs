@@ -37,6 +37,8 @@ pub(super) enum Timeliness {
 
 /// A message later than this is late: more than bursts, frames and a wireless line scatter.
 const IN_TIME: Span = Span::from_millis(80);
+/// Messages stamped within this belong to one burst.
+const BURST: Span = Span::from_millis(50);
 /// Messages in time looked back over. Within it a clock that runs slower by what passes for jitter loses
 /// less than [`IN_TIME`], and a line that becomes slower by and by is told from it.
 const LOOKS_BACK: Span = Span::from_millis(1_500);
@@ -53,14 +55,14 @@ impl Punctuality {
             *self = Self { in_time: VecDeque::from([(now, stamp)]), rate, ..Self::default() };
             return Timeliness::InTime;
         };
-        // Of a burst the first message has told all there is, however late the others are.
-        if self.in_time.back().is_some_and(|&(_, newest)| stamp <= newest) {
-            return Timeliness::Late;
-        }
         let lateness = self.expected(now).map_or(Span::ZERO, |expected| expected - stamp);
         let mut timeliness = Timeliness::InTime;
         let in_time = Span::from_seconds(IN_TIME.seconds() * before.max(1.0));
         if lateness > in_time {
+            // Of a burst the first message has told all there is, however late the others are.
+            if self.in_time.back().is_some_and(|&(_, newest)| stamp - newest < BURST) {
+                return Timeliness::Late;
+            }
             let (first, _) = *self.late.get_or_insert(((now, stamp), lateness));
             self.late = Some((first, lateness));
             self.sure_until = self.sure_until.or(self.in_time.back().map(|&(_, stamp)| stamp));
@@ -176,6 +178,18 @@ mod tests {
         // A server that runs a little slower is none.
         let (drift, _) = told(300, |i| 0.006 * f64::from(i));
         assert_eq!(drift.sure_until(), None);
+    }
+
+    #[test]
+    fn a_burst_that_comes_bit_by_bit_is_in_time() {
+        // The second half of each is 10 ms later by its stamp and 190 ms by its arrival.
+        let mut punctuality = Punctuality::default();
+        for i in 0..200 {
+            let sent = 0.2 * f64::from(i / 2) + 0.01 * f64::from(i % 2);
+            let now = Arrival::from_seconds(sent + 0.18 * f64::from(i % 2));
+            punctuality.note(Stamp::from_seconds(100.0 + sent), now, (i > 24).then_some(1.0));
+            assert_eq!((punctuality.sure_until(), punctuality.slower()), (None, Span::ZERO), "{i}");
+        }
     }
 
     #[test]

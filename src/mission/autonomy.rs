@@ -399,7 +399,7 @@ impl Running {
     }
 
     /// Stops and sweeps where the robot stands.
-    fn look_here(&mut self, desk: &mut Desk<'_>) {
+    pub(super) fn look_here(&mut self, desk: &mut Desk<'_>) {
         self.end_nod("the robot stops to look", desk);
         match self.best_look(desk.config) {
             Some(offer) => {

@@ -4,13 +4,13 @@ use super::running::{Desk, Look, Running};
 use crate::acquisition::Acquisition;
 
 impl Running {
-    /// Stands still, then looks, but first of all it is found out anew how commands are obeyed if that has changed.
+    /// Stands still, then looks; but if commands are obeyed later than they were, it is found out anew how
+    /// first, and then chosen again what to look at.
     pub(super) fn settle_calibrated(&mut self, look: Look, desk: &mut Desk<'_>) {
         if !self.acquisition.as_ref().is_some_and(Acquisition::wants_calibration) {
             return self.settle(look, desk);
         }
         desk.info("messages come later than they did: finding out anew how the tilt moves");
-        self.queue.push_front(look);
         self.settle(Look::Calibrate, desk);
     }
 

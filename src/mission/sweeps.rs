@@ -32,7 +32,11 @@ impl Running {
                         desk.info("pan-tilt: once more");
                         self.queue.push_front(Look::Calibrate);
                     }
-                    self.next_look_or_choose(desk);
+                    match self.queue.is_empty() && !self.first_scan_due {
+                        // On the way, where a sweep was due.
+                        true => self.look_here(desk),
+                        false => self.next_look_or_choose(desk),
+                    }
                 }
             }
         }
