@@ -115,6 +115,7 @@ impl Calibration {
         config: &AcquisitionConfig,
         now: Arrival,
     ) -> (Self, Vec<HeadAction>) {
+        control.begin_calibration();
         let limits = control.head().tilt().and_then(|axis| axis.limits);
         let (profile, _) = profile.clipped(limits);
         let tolerance = config.tolerance_deg.to_radians();
@@ -268,6 +269,10 @@ impl Calibration {
         let Stage::Moving(moving) = std::mem::replace(&mut self.stage, Stage::Finished) else {
             return self.give_up("nothing was measured", now);
         };
+        if control.is_otherwise_late() {
+            control.begin_calibration();
+            return self.give_up("messages began to come late during the calibration", now);
+        }
         let limits = control.head().tilt().and_then(|axis| axis.limits);
         let readings: Vec<Observation> = control
             .tilt

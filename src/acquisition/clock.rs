@@ -1,3 +1,4 @@
+use super::punctuality::{Punctuality, Timeliness};
 use crate::time::{Arrival, Span, Stamp};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -24,12 +25,7 @@ pub enum ClockStep {
 pub struct StampClock {
     window: VecDeque<(Arrival, Stamp)>,
     latest: Option<Stamp>,
-    /// By how much the lower bound lay ahead of the session's clock at the last message.
-    ahead: Option<Span>,
-    /// By how much messages come later than they once did.
-    slower: Span,
-    /// Since when the two clocks seem to run at different rates.
-    odd_since: Option<Arrival>,
+    punctuality: Punctuality,
     /// Simulated seconds per session second, once measured.
     rate: Option<f64>,
 }
@@ -66,7 +62,8 @@ impl StampClock {
             step = ClockStep::Jumped(stamp - expected);
             self.window.clear();
             self.latest = None;
-            (self.ahead, self.slower, self.rate) = (None, Span::ZERO, None);
+            self.rate = None;
+            self.punctuality = Punctuality::default();
         }
         // A message that was held up tells nothing, and as the last of the window it would slow the
         // rate between the clocks.
@@ -74,6 +71,15 @@ impl StampClock {
             return step;
         }
         self.latest = Some(stamp);
+        match self.punctuality.note(stamp, now, self.rate) {
+            // As the first or last of the window it would be taken for another rate.
+            Timeliness::Late => return step,
+            Timeliness::LateAsARule { rate } => {
+                self.window.clear();
+                self.rate = Some(rate);
+            }
+            Timeliness::InTime => {}
+        }
         // Of messages that arrive together the newest alone tells anything: the others were held up.
         let held_up =
             |&(arrival, sent): &(Arrival, Stamp)| now - arrival < TOGETHER && sent < stamp;
@@ -85,7 +91,6 @@ impl StampClock {
             self.window.pop_front();
         }
         self.rate = self.measured_rate().or(self.rate);
-        self.note_lateness(now);
         step
     }
 
@@ -98,31 +103,6 @@ impl StampClock {
         };
         let too_old = now - oldest > WINDOW + WINDOW + WINDOW;
         now - oldest > WINDOW && (now - next >= RATE_BASELINE || too_old)
-    }
-
-    /// The bound falls back at once when a line becomes slower, and creeps where two clocks drift.
-    fn note_lateness(&mut self, now: Arrival) {
-        const STEP: Span = Span::from_millis(250);
-        if self.rate() != 1.0 {
-            // A step is in the window for its length; what lasts longer is a rate.
-            let odd_since = *self.odd_since.get_or_insert(now);
-            if now - odd_since > WINDOW + RATE_BASELINE {
-                (self.ahead, self.slower) = (None, Span::ZERO);
-            }
-            return;
-        }
-        self.odd_since = None;
-        let ahead = self.earliest(now).map(|bound| Span(bound.0 - now.0));
-        match (self.ahead, ahead) {
-            (Some(before), Some(ahead)) if before - ahead > STEP => {
-                self.slower += before - ahead;
-            }
-            (Some(before), Some(ahead)) if ahead > before => {
-                self.slower = (self.slower - (ahead - before)).max(Span::ZERO);
-            }
-            _ => {}
-        }
-        self.ahead = ahead;
     }
 
     /// The newest stamp seen.
@@ -148,19 +128,45 @@ impl StampClock {
         Some(if (rate - 1.0).abs() < RATE_SNAP { 1.0 } else { rate.clamp(0.02, 50.0) })
     }
 
-    /// The earliest stamp the simulator's clock can show at `now`; `None` before the first message.
+    /// The earliest stamp the simulator's clock can show at `now`, if it has not paused since messages
+    /// came in time; `None` before the first message.
     pub fn earliest(&self, now: Arrival) -> Option<Stamp> {
         let rate = self.rate();
-        self.window
-            .iter()
-            .map(|&(arrival, stamp)| stamp + Span::from_seconds((now - arrival).seconds() * rate))
-            .max()
+        let runs_on = |&(arrival, stamp): &(Arrival, Stamp)| {
+            stamp + Span::from_seconds((now - arrival).seconds() * rate)
+        };
+        self.window.iter().map(runs_on).max().max(self.punctuality.expected(now))
     }
 
-    /// By how much messages come later than they once did, noticed some seconds after it began; zero
-    /// where the server's time runs at another rate than the session's.
+    /// By how much messages come later than they once did; zero where the server's time is known to run
+    /// at another rate than the session's.
     pub fn slower_by(&self) -> Span {
-        self.slower
+        self.punctuality.slower()
+    }
+
+    /// The same as far as it has become the rule: before that [`Self::earliest`] has run on.
+    pub fn slower_as_a_rule(&self) -> Span {
+        self.punctuality.shifted()
+    }
+
+    /// For how long messages have been coming late.
+    pub fn late_for(&self, now: Arrival) -> Span {
+        self.punctuality.late_for(now)
+    }
+
+    /// Whether messages come as late as is the rule.
+    pub fn is_regular(&self) -> bool {
+        self.punctuality.slower() == self.punctuality.shifted()
+    }
+
+    /// The stamp until which it is known when commands were obeyed; `None` while messages are in time.
+    pub fn sure_until(&self) -> Option<Stamp> {
+        self.punctuality.sure_until()
+    }
+
+    /// What messages come later by from now on is no news: it has been measured.
+    pub fn forgive(&mut self) {
+        self.punctuality.forgive();
     }
 
     /// The latest stamp at which something sent at `now` is in force at the server, if neither way

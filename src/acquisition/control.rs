@@ -60,6 +60,8 @@ pub struct HeadControl {
     readings_late: Span,
     /// What came out of order so far.
     disorder: Disorder,
+    /// By how much messages came later than they did when a calibration was last begun.
+    slower_calibrated: Span,
     /// Times found by calibration, or supposed.
     pub(super) timing: Timing,
 }
@@ -133,6 +135,7 @@ impl HeadControl {
             past: None,
             readings_late: Span::ZERO,
             disorder: Disorder::default(),
+            slower_calibrated: Span::ZERO,
             timing: Timing {
                 command_delay: Span::from_seconds(0.5 * latency.seconds()),
                 line_lag: Span::ZERO,
@@ -168,7 +171,11 @@ impl HeadControl {
                     self.readings_late = (sent - reading.stamp).max(Span::ZERO);
                     read(&mut self.tilt, reading.tilt);
                     read(&mut self.pan, reading.pan);
-                    if reading.tilt.is_some_and(|tilt| self.reach.is_exceeded_by(tilt.angle_rad)) {
+                    // One that was under way when an end was found says nothing against it.
+                    let is_new = self.ended.is_none_or(|(found, _)| reading.stamp > found);
+                    let beyond =
+                        reading.tilt.is_some_and(|tilt| self.reach.is_exceeded_by(tilt.angle_rad));
+                    if is_new && beyond {
                         self.set_reach(self.reach.as_told(), None);
                     }
                 }
@@ -233,8 +240,37 @@ impl HeadControl {
     /// tell which; without them it is taken for the slower line.
     pub(super) fn in_force(&self, now: Arrival) -> Option<Stamp> {
         let read = self.clock().latest().is_some_and(|latest| self.reads_at(latest));
-        let slower = if read { Span::ZERO } else { self.clock().slower_by() };
+        let slower = if read { Span::ZERO } else { self.clock().slower_as_a_rule() };
         self.clock().in_force_by(now, self.latency + slower)
+    }
+
+    /// The stamp until which it is known where the tilt was in motion; `None` if it always is: by its
+    /// readings, or by its law and the times of commands.
+    pub(super) fn sure_until(&self) -> Option<Stamp> {
+        let read = self.clock().latest().is_some_and(|latest| self.reads_at(latest));
+        self.clock().sure_until().filter(|_| !read)
+    }
+
+    /// Takes note that a calibration begins, which measures with whatever messages are late by now.
+    pub(super) fn begin_calibration(&mut self) {
+        self.slower_calibrated = self.clock().slower_by();
+    }
+
+    /// Whether messages come later by another time than when a calibration was last begun.
+    pub(super) fn is_otherwise_late(&self) -> bool {
+        const OTHER: Span = Span::from_millis(80);
+        let more = self.clock().slower_by() - self.slower_calibrated;
+        more > OTHER || more + OTHER < Span::ZERO
+    }
+
+    /// Whether messages have come later for so long that another calibration can measure with it.
+    pub(super) fn wants_calibration(&self) -> bool {
+        self.sure_until().is_some() && self.clock().is_regular() && self.is_otherwise_late()
+    }
+
+    /// What a command takes to be obeyed beyond the clock's lower bound, for all that is known.
+    pub(super) fn obeyed_within(&self) -> Span {
+        self.latency + self.clock().slower_by()
     }
 
     /// By how much messages come later than they did, in words for an operator, where that is much.
@@ -298,6 +334,10 @@ impl HeadControl {
             model_sigma_rad: fit.rms_rad,
             calibrated: true,
         };
+        // What messages come later by has been measured with it.
+        self.clock.forgive();
+        self.scanner_clock.forgive();
+        self.slower_calibrated = Span::ZERO;
     }
 
     /// How late the tilt's readings come, by the last of them: zero on a server that keeps time.

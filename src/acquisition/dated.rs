@@ -17,6 +17,8 @@ use serde::{Deserialize, Serialize};
 pub(super) struct Taken {
     pub line: LaserLine,
     pub demanded: QuarterDegrees,
+    /// Whether it came after a line that was stamped later.
+    pub overtaken: bool,
 }
 
 /// A row nearer than this share of the spacing to the row before tells nothing new.

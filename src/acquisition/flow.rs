@@ -63,10 +63,11 @@ pub struct Flow {
     /// How late the latest of the readings came.
     readings_late: Span,
     disorder_before: Disorder,
-    slower_before: Span,
     furthest_rad: f64,
     /// How near the tilt has come to the first row on the way there, in radians.
     nearest_rad: Option<f64>,
+    /// How long the laser has been silent, in seconds, where that ended the sweep.
+    silent_s: Option<f64>,
     budget: TimeBudget,
     last_event: Arrival,
     remarks: Vec<String>,
@@ -85,9 +86,8 @@ enum Stage {
     Finished,
 }
 
-/// Lines that come later than this were held up. No set-point could follow them, so that a tilt that
-/// rested meanwhile rested where it was told to.
-const HELD_UP: Span = Span::from_millis(1_000);
+/// Messages that come late for longer than this will not be in time again before the sweep is over.
+const LATE_FOR: Span = Span::from_millis(2_000);
 
 impl Flow {
     /// A sweep over `profile`, already clipped and turned the way it is to run; its first actions.
@@ -104,6 +104,7 @@ impl Flow {
             demanded: first,
             furthest_rad: first.radians(),
             nearest_rad: None,
+            silent_s: None,
             way,
             pan_rad,
             driving,
@@ -117,7 +118,6 @@ impl Flow {
             sent_off: None,
             readings_late: Span::ZERO,
             disorder_before: control.disorder(),
-            slower_before: control.clock().slower_by(),
             budget: TimeBudget::default(),
             last_event: now,
             remarks: Vec::new(),
@@ -203,10 +203,8 @@ impl Flow {
             (Stage::Approaching | Stage::Flowing, HeadEvent::Line(line)) => {
                 self.on_line(line, control, config, now, &mut actions);
             }
-            (Stage::Closing, HeadEvent::Joints(_))
-                if self.is_dated(control) && !self.awaits_stragglers(control) =>
-            {
-                self.finish(control, now, &mut actions);
+            (Stage::Closing, _) if !self.awaits_messages(control) => {
+                self.finish_closed(control, now, &mut actions);
             }
             _ => {}
         }
@@ -226,14 +224,9 @@ impl Flow {
         let foreign = at == 0 || after.line.stamp == line.stamp;
         if !foreign && control.rhythm.is_whole(line) {
             let demanded = after.demanded;
-            self.taken.insert(at, Taken { line: line.clone(), demanded });
+            self.taken.insert(at, Taken { line: line.clone(), demanded, overtaken: true });
         }
         true
-    }
-
-    /// Whether lines or readings have come out of order, so that some may still be under way.
-    fn awaits_stragglers(&self, control: &HeadControl) -> bool {
-        control.disorder().grew_since(&self.disorder_before)
     }
 
     fn run_ramp(&mut self, control: &mut HeadControl, now: Arrival, actions: &mut Vec<HeadAction>) {
@@ -284,8 +277,7 @@ impl Flow {
             return self.on_unmoved(&unmoved, control, now, actions);
         }
         let cast = control.cast_time(line);
-        let slower = control.clock().slower_by() - self.slower_before;
-        if slower > HELD_UP && !control.reads_at(cast) {
+        if control.sure_until().is_some() && control.clock().late_for(now) > LATE_FOR {
             // When commands are obeyed is no longer known, and nothing else tells the tilt.
             self.remarks
                 .push("the line to the server became slower: the sweep ends there".to_owned());
@@ -330,11 +322,14 @@ impl Flow {
             }
             self.begin_flowing(here.angle_rad, control, now, actions);
         }
-        self.taken.push(Taken { line: line.clone(), demanded: self.demanded });
+        self.taken.push(Taken { line: line.clone(), demanded: self.demanded, overtaken: false });
         let row = self.taken.len() - 1;
         actions.push(HeadAction::Filed { row, tilt: self.demanded });
-        let came_on = (here.angle_rad - self.furthest_rad) * direction;
-        self.note_progress(came_on > 0.4 * step, here.angle_rad, line, control, now);
+        // The law runs on from the newest reading and may believe what a later one refutes.
+        let read = control.tilt.last_reading().filter(|_| control.reads_at(cast));
+        let seen_rad = read.map_or(here.angle_rad, |reading| reading.angle_rad);
+        let came_on = (seen_rad - self.furthest_rad) * direction;
+        self.note_progress(came_on > 0.4 * step, seen_rad, line, control, now);
         if (last - here.angle_rad) * direction <= 0.5 * step {
             self.close(control, now, actions);
         } else if !self.end_if_stuck(line, control, now, actions)
@@ -398,13 +393,10 @@ impl Flow {
             }
             Stage::Approaching | Stage::Flowing => {
                 let silent = control.rhythm.last_arrival().map_or(0.0, |at| (now - at).seconds());
-                self.remarks.push(format!(
-                    "the laser has been silent for {silent:.1} s: {} lines taken",
-                    self.taken.len()
-                ));
+                self.silent_s = Some(silent);
                 self.finish(control, now, actions);
             }
-            Stage::Closing => self.finish(control, now, actions),
+            Stage::Closing => self.finish_closed(control, now, actions),
             Stage::Finished => {}
         }
     }

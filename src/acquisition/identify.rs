@@ -42,6 +42,9 @@ const CUT: f64 = 6.0;
 const EXPLAINED: f64 = 0.7;
 /// A rest of this much means that the law is of another kind.
 const WORST_RMS_RAD: f64 = 0.0035;
+/// Longest time that a command is taken to be on its way, and the steps in which that is first looked for.
+const MOST_DELAY: Span = Span::from_millis(5_000);
+const DELAY_STEP: Span = Span::from_millis(200);
 /// Fewest observations that a law can be found from.
 const FEWEST: usize = 12;
 
@@ -70,8 +73,14 @@ pub fn identify(
     let best = |starts: [[f64; 3]; 4], law_of: fn(&[f64; 3]) -> ServoLaw| {
         // The valley of the true noise is narrow and curved: the search begins with a noise that
         // widens it, and sharpens.
-        let search = |start: [f64; 3]| {
-            [24.0, 6.0, 1.0, 1.0].into_iter().fold((start, f64::INFINITY), |(x, _), widening| {
+        let search = |[a, b, _]: [f64; 3]| {
+            let cost = |delay_s: f64| case.cost(law_of(&[a, b, delay_s]), delay_s, 24.0);
+            // A jump obeyed much later than supposed shares nothing with the one supposed.
+            let delays =
+                (0..=MOST_DELAY.0 / DELAY_STEP.0).map(|i| 0.03 + DELAY_STEP.seconds() * i as f64);
+            let delay_s = delays.min_by(|a, b| cost(*a).total_cmp(&cost(*b))).unwrap_or(0.03);
+            let start = ([a, b, delay_s], f64::INFINITY);
+            [24.0, 6.0, 1.0, 1.0].into_iter().fold(start, |(x, _), widening| {
                 minimise(x, |x| case.cost(law_of(x), x[2], widening))
             })
         };
@@ -129,7 +138,7 @@ struct Case<'a> {
 
 impl Case<'_> {
     fn delay(&self, delay_s: f64) -> Span {
-        Span::from_seconds(delay_s.min(2.0)).max(self.least_delay)
+        Span::from_seconds(delay_s).min(MOST_DELAY).max(self.least_delay)
     }
 
     fn track(&self, law: ServoLaw, delay_s: f64) -> AxisTrack {

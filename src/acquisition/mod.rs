@@ -8,6 +8,7 @@
 
 mod body;
 mod calibrate;
+mod choosing;
 mod clock;
 mod config;
 mod control;
@@ -22,6 +23,7 @@ mod park;
 mod policy;
 mod probe;
 mod profile;
+mod punctuality;
 mod ramp;
 mod reach;
 mod repeat;
@@ -65,7 +67,7 @@ pub use triples::{HEADING, RecordedTriples, TripleError};
 use crate::protocol::Dialect;
 use crate::robot::{Demand, GroundView, HeadPose, HeadReading, Rig, ScanHead};
 use crate::scan::LaserLine;
-use crate::time::{Arrival, Span, Stamp};
+use crate::time::{Arrival, Stamp};
 use calibrate::{Calibration, reference_profile};
 use nalgebra::Isometry3;
 use park::Park;
@@ -76,10 +78,6 @@ use way::Way;
 
 /// Speed of a pan-tilt link whose CONF is silent: CameraPanTilt's (protocol 5.4).
 const USUAL_LINK_SPEED_RAD_S: f64 = 0.17;
-
-/// A line to the server that became slower by less than this is what the calibration found, as far
-/// as sweeps in motion go.
-const TIMED: Span = Span::from_millis(300);
 
 /// What the acquisition is told.
 #[derive(Clone, Copy, Debug)]
@@ -199,6 +197,17 @@ impl Acquisition {
         self.control.timing().calibrated
     }
 
+    /// Whether messages come later than when the small times were found, so that sweeps in motion have to
+    /// wait for another calibration.
+    pub fn wants_calibration(&self) -> bool {
+        self.is_calibrated() && self.control.wants_calibration()
+    }
+
+    /// Seconds by which commands are obeyed later than the configuration supposes.
+    pub fn obeyed_late_s(&self) -> f64 {
+        (self.control.obeyed_within() - self.config.command_latency()).seconds().max(0.0)
+    }
+
     /// Whether the tilt was found not to turn at all.
     pub fn is_stuck(&self) -> bool {
         self.control.reach().stuck_rad().is_some()
@@ -235,12 +244,9 @@ impl Acquisition {
         let limited =
             clipped.map(|clipped| format!("the tilt's limits cut {} rows off", clipped.rows));
         let coarse = self.config.coarse_tolerance_deg.to_radians();
-        // Nothing but the times of commands tells where a tilt without readings is in motion.
-        let timed = self.control.clock().slower_by() < TIMED
-            || self.control.clock().latest().is_some_and(|latest| self.control.reads_at(latest));
         let (drive, tolerance_rad) = match request.mode {
             SweepMode::Settled { tolerance_rad } => (None, tolerance_rad),
-            _ if !self.is_calibrated() || !timed => (None, coarse),
+            _ if !self.may_flow() => (None, coarse),
             SweepMode::Continuous { rate_rad_s, cycle_s } if self.rates => {
                 (Some(FlowDrive::Rate { rate_rad_s, cycle_s }), coarse)
             }
@@ -249,13 +255,19 @@ impl Acquisition {
             }
             SweepMode::Flowing | SweepMode::Nodding => (Some(FlowDrive::SetPoints), coarse),
         };
+        let at_rest = matches!(request.mode, SweepMode::Settled { .. });
+        let (profile, thinned) = match drive {
+            None if !at_rest => self.thinned(profile),
+            _ => (profile, None),
+        };
+        let limited = limited.into_iter().chain(thinned);
         let (control, config) = (&mut self.control, &self.config);
         let pan_rad = request.pan_rad;
         let actions = match drive {
             None => {
                 let (mut sweep, actions) =
                     Sweep::start(profile, pan_rad, tolerance_rad, control, config, now);
-                limited.into_iter().for_each(|text| sweep.remark(text));
+                limited.for_each(|text| sweep.remark(text));
                 let over = sweep.is_finished();
                 self.activity =
                     if over { Activity::Idle } else { Activity::Sweeping(Box::new(sweep)) };
@@ -264,7 +276,7 @@ impl Acquisition {
             Some(drive) => {
                 let (mut flow, actions) =
                     Flow::start(Way { profile, drive }, pan_rad, driving, control, config, now);
-                limited.into_iter().for_each(|text| flow.remark(text));
+                limited.for_each(|text| flow.remark(text));
                 let over = flow.is_finished();
                 self.activity =
                     if over { Activity::Idle } else { Activity::Flowing(Box::new(flow)) };
@@ -274,66 +286,10 @@ impl Acquisition {
         news.into_iter().chain(actions).collect()
     }
 
-    /// The sweep that shows most of `interest` per second, in motion if `flowing`; `None` for a laser
-    /// that cannot tilt.
-    pub fn choose(
-        &self,
-        view: &GroundView<'_>,
-        interest: &Interest,
-        flowing: bool,
-    ) -> Option<Offer> {
-        let pace = policy::Pace::of(&self.control, &self.config, flowing && self.is_calibrated());
-        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
-        policy::choose(view, &self.config.fan, interest, &pace, tilt_rad)
-    }
-
-    /// `profile` with the fine rows that `interest` requires, and how many had to be added.
-    pub fn with_required(
-        &self,
-        profile: Profile,
-        view: &GroundView<'_>,
-        interest: &Interest,
-    ) -> (Profile, usize) {
-        let before = profile.len();
-        let profile = policy::with_fine_rows(profile, view, interest);
-        let added = profile.len().saturating_sub(before);
-        (profile, added)
-    }
-
-    /// The sweep to be taken while the robot drives on, if that is worth more than stopping for one.
-    ///
-    /// # Errors
-    ///
-    /// Why none should be, in plain words.
-    pub fn choose_nod(
-        &self,
-        view: &GroundView<'_>,
-        interest: &Interest,
-        terms: &NodTerms,
-    ) -> Result<Offer, String> {
-        if !self.is_calibrated() {
-            return Err("the tilt's law is not known".to_owned());
-        }
-        let latest = self.control.clock().latest();
-        if !latest.is_some_and(|latest| self.control.reads_at(latest)) {
-            return Err("the tilt sends no readings that would show it stuck on the way".to_owned());
-        }
-        let pace = policy::Pace::of(&self.control, &self.config, true);
-        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
-        nod::choose(view, &self.config.fan, interest, &pace, tilt_rad, terms)
-    }
-
     /// Takes note of where the robot's body is, by odometry and inertial unit, in any frame that stays
     /// the same during a sweep.
     pub fn moved(&mut self, stamp: Stamp, frame_from_robot: Isometry3<f64>) {
         self.control.body.note(stamp, frame_from_robot);
-    }
-
-    /// How long a sweep over `profile` should take from where the tilt is, in seconds.
-    pub fn seconds_for(&self, profile: &Profile, flowing: bool) -> f64 {
-        let tilt_rad = self.control.tilt.target_rad().unwrap_or(0.0);
-        let profile = profile.clone().from_nearer_end(tilt_rad);
-        policy::Pace::of(&self.control, &self.config, flowing).seconds(&profile, tilt_rad)
     }
 
     /// Ends a sweep that is under way and hands over what there is.

@@ -2,7 +2,7 @@
 //! stop would.
 
 use super::SweepRequest;
-use super::policy::{Interest, Offer, Pace, WALLS_M2, choose as choose_standing};
+use super::policy::{Interest, Offer, Pace, WALLS_M2, choose as choose_standing, reachable};
 use super::profile::{FanConfig, Profile};
 use crate::robot::GroundView;
 use serde::{Deserialize, Serialize};
@@ -37,10 +37,11 @@ pub(super) fn choose(
     }
     let fan = FanConfig { nearest_m: config.nearest_m.max(terms.guard_m), ..config.clone() };
     // From the farthest ground to the guard line, where the head belongs afterwards.
-    let mut profile = Profile::ground_fan(view, &fan);
+    let mut profile = reachable(Profile::ground_fan(view, &fan), view);
     profile.tilts.sort();
     profile.name = "nod".to_owned();
-    let Some(standing) = choose_standing(view, config, interest, pace, tilt_rad) else {
+    let Some(standing) = choose_standing(view, config, interest, pace, (tilt_rad, terms.stop_s))
+    else {
         return Err("the laser cannot tilt".to_owned());
     };
     let nod_s = pace.seconds(&profile, tilt_rad);
@@ -51,7 +52,7 @@ pub(super) fn choose(
     let cost_s = nod_s * (1.0 - terms.slow_mps / terms.full_mps);
     // Its rows are as good to drive on as those of the guard line, which is dead reckoning too; what it
     // cannot give is the walls that tell where the robot is.
-    let gain_m2 = interest.beyond_m2(fan.nearest_m);
+    let gain_m2 = interest.shown_m2(&profile, view, config.ring_spacing_m);
     let rate = gain_m2 / cost_s.max(1e-3);
     let stop_s = standing.seconds + terms.stop_s;
     let stop_rate = (standing.gain_m2 + WALLS_M2) / stop_s;

@@ -49,7 +49,7 @@ impl Interest {
 
     /// Unseen ground that the rows of `profile` show, in m²: where they lie farther apart than
     /// `spacing_m`, the share that they leave known.
-    fn shown_m2(&self, profile: &Profile, view: &GroundView<'_>, spacing_m: f64) -> f64 {
+    pub(super) fn shown_m2(&self, profile: &Profile, view: &GroundView<'_>, spacing_m: f64) -> f64 {
         let ahead = |tilt: &QuarterDegrees| view.ground_ahead_m(tilt.radians());
         let mut rings: Vec<f64> = profile.tilts.iter().filter_map(ahead).collect();
         rings.sort_by(f64::total_cmp);
@@ -64,12 +64,6 @@ impl Interest {
         let shown = self.unseen_m2.iter().enumerate();
         // Adding zero makes the -0 of an empty sum 0.
         shown.map(|(ring, area)| share(middle_m(ring)) * area).sum::<f64>() + 0.0
-    }
-
-    /// Unseen ground at `from_m` and beyond, in m².
-    pub(super) fn beyond_m2(&self, from_m: f64) -> f64 {
-        let first = (from_m / RING_M).ceil() as usize;
-        self.unseen_m2.iter().skip(first).sum::<f64>() + 0.0
     }
 }
 
@@ -95,6 +89,8 @@ pub(super) struct Pace {
     interval_s: f64,
     tolerance_rad: f64,
     unknown_settle_s: f64,
+    /// What a command takes to be obeyed.
+    obeyed_s: f64,
 }
 
 impl Pace {
@@ -105,6 +101,7 @@ impl Pace {
             interval_s: control.rhythm.interval().seconds(),
             tolerance_rad: config.coarse_tolerance_deg.to_radians(),
             unknown_settle_s: config.unknown_settle_s,
+            obeyed_s: control.obeyed_within().seconds(),
         }
     }
 
@@ -129,7 +126,10 @@ impl Pace {
                 self.travel_s(step_rad).max(self.interval_s * lines.max(1.0))
             }
             // The line after the one during which the tilt came to rest.
-            None => ((settle(step_rad) / self.interval_s).ceil() + 1.0) * self.interval_s,
+            None => {
+                let rests_s = self.obeyed_s + settle(step_rad);
+                ((rests_s / self.interval_s).ceil() + 1.0) * self.interval_s
+            }
         };
         let approach_rad = first.radians() - tilt_rad;
         let rows: f64 = tilts.windows(2).map(|w| row_s(w[1].radians() - w[0].radians())).sum();
@@ -139,15 +139,16 @@ impl Pace {
 
 /// Distances from which on a fan of interest may begin, in metres.
 const CUTS_M: [f64; 6] = [0.75, 1.0, 1.5, 2.0, 3.0, 4.0];
+/// Name of the fan that leaves nothing out.
+const WHOLE: &str = "ground fan";
 /// Worth of the walls in a sweep, in m² of ground: what it is taken for where no ground is unseen.
 pub(super) const WALLS_M2: f64 = 4.0;
-/// Share of its ground that a fan of twice the spacing shows well enough to drive on.
-const COARSE_SHARE: f64 = 0.5;
 /// Distance between rings where fine rows are required, in metres: a third of a wheel's width more
 /// and an edge could hide between two of them.
 const FINE_RING_M: f64 = 0.1;
 
-/// The sweep that shows most per second among the whole fan, fans of interest, a coarse fan, and the
+/// The sweep that shows most per second, the `between_s` seconds counted that pass anyway from one sweep
+/// to the next: what is left out here has to be driven to once more. It is chosen among the whole fan, fans of interest, a coarse fan, and the
 /// whole height in coarse or in fine rows; every one of them with the fine rows that `interest`
 /// requires. `None` for a laser that cannot tilt.
 pub(super) fn choose(
@@ -155,65 +156,58 @@ pub(super) fn choose(
     config: &FanConfig,
     interest: &Interest,
     pace: &Pace,
-    tilt_rad: f64,
+    (tilt_rad, between_s): (f64, f64),
 ) -> Option<Offer> {
     let mode = match pace.flowing {
         Some(_) => SweepMode::Flowing,
         None => SweepMode::Settled { tolerance_rad: pace.tolerance_rad },
     };
-    let offer = |name: String, fan: &FanConfig, share: f64| {
-        let mut profile = Profile::ground_fan(view, fan);
-        profile.name.clone_from(&name);
-        let profile = with_fine_rows(profile, view, interest).from_nearer_end(tilt_rad);
-        if profile.is_empty() {
-            return None;
-        }
-        let seconds = pace.seconds(&profile, tilt_rad);
-        let gain_m2 = share * interest.beyond_m2(fan.nearest_m);
-        let request = SweepRequest { profile, pan_rad: 0.0, mode };
-        Some(Offer { request, seconds, gain_m2, reason: name })
-    };
-    let whole = offer("ground fan".to_owned(), config, 1.0)?;
-    let cuts = CUTS_M.iter().filter(|&&cut| cut > config.nearest_m && cut < 0.6 * config.reach_m);
-    let cut = cuts.filter_map(|&nearest_m| {
-        offer(format!("fan from {nearest_m} m"), &FanConfig { nearest_m, ..config.clone() }, 1.0)
-    });
-    let wide = FanConfig { ring_spacing_m: 2.0 * config.ring_spacing_m, ..config.clone() };
-    let coarse = offer("coarse fan".to_owned(), &wide, COARSE_SHARE);
-    let limits = view.head.tilt().and_then(|axis| axis.limits);
-    let by_height = [("coarse sweep", Profile::coarse(2.0)), ("full sweep", Profile::paper_full())];
-    let heights = by_height.into_iter().filter_map(|(name, profile)| {
-        let profile = with_fine_rows(profile.clipped(limits).0, view, interest);
+    // What a profile shows is what is left of it within the tilt's reach.
+    let offer = |name: &str, profile: Profile| {
+        let profile = with_fine_rows(reachable(profile, view), view, interest);
         let profile = Profile { name: name.to_owned(), ..profile }.from_nearer_end(tilt_rad);
         let seconds = pace.seconds(&profile, tilt_rad);
         let gain_m2 = interest.shown_m2(&profile, view, config.ring_spacing_m);
         let some = !profile.is_empty();
         let request = SweepRequest { profile, pan_rad: 0.0, mode };
         some.then(|| Offer { request, seconds, gain_m2, reason: name.to_owned() })
-    });
-    let per_second = |offer: &Offer| (offer.gain_m2 + WALLS_M2) / offer.seconds;
-    let told = |offer: &Offer| format!("{:.1} m² in {:.1} s", offer.gain_m2, offer.seconds);
+    };
+    let fan = |fan: &FanConfig| Profile::ground_fan(view, fan);
+    let cuts = CUTS_M.iter().filter(|&&cut| cut > config.nearest_m && cut < 0.6 * config.reach_m);
+    let from = |&nearest_m: &f64| {
+        let fan = fan(&FanConfig { nearest_m, ..config.clone() });
+        (format!("fan from {nearest_m} m"), fan)
+    };
+    let wide = FanConfig { ring_spacing_m: 2.0 * config.ring_spacing_m, ..config.clone() };
     // Of equal ones the first: the whole fan, then the widest.
-    let others: Vec<Offer> = cut.chain(coarse).chain(heights).collect();
-    let mut best = whole.clone();
-    for other in &others {
-        if per_second(other) > per_second(&best) {
-            best = other.clone();
+    let offers: Vec<Offer> = std::iter::once((WHOLE.to_owned(), fan(config)))
+        .chain(cuts.map(from))
+        .chain([
+            ("coarse fan".to_owned(), fan(&wide)),
+            ("coarse sweep".to_owned(), Profile::coarse(2.0)),
+            ("full sweep".to_owned(), Profile::paper_full()),
+        ])
+        .filter_map(|(name, profile)| offer(&name, profile))
+        .collect();
+    let per_second = |offer: &Offer| (offer.gain_m2 + WALLS_M2) / (offer.seconds + between_s);
+    let best_of = |offers: &mut dyn Iterator<Item = &Offer>| {
+        let better = |a, b| if per_second(b) > per_second(a) { b } else { a };
+        offers.reduce(better).cloned()
+    };
+    let mut best = best_of(&mut offers.iter())?;
+    let second = best_of(&mut offers.iter().filter(|other| other.reason != best.reason));
+    let told = |offer: &Offer| format!("{:.1} m² in {:.1} s", offer.gain_m2, offer.seconds);
+    let named = |offer: &Offer| format!("{} {}", offer.reason, told(offer));
+    let whole = offers.first().filter(|whole| whole.reason == WHOLE && best.reason != WHOLE);
+    let against = match (whole, second) {
+        (Some(whole), Some(second)) if second.reason != WHOLE => {
+            format!("the whole fan {}, {}", told(whole), named(&second))
         }
-    }
-    let second = std::iter::once(&whole)
-        .chain(&others)
-        .filter(|other| other.reason != best.reason)
-        .max_by(|a, b| per_second(a).total_cmp(&per_second(b)));
-    let against = match (best.reason == whole.reason, second) {
-        (true, second) => format!(
-            "no part of it shows more per second{}",
-            second.map_or_else(String::new, |o| format!(" (next: {} {})", o.reason, told(o)))
-        ),
-        (false, Some(second)) if second.reason != whole.reason => {
-            format!("the whole fan {}, {} {}", told(&whole), second.reason, told(second))
+        (Some(whole), _) => format!("the whole fan {}", told(whole)),
+        (None, Some(second)) => {
+            format!("no other shows more per second (next: {})", named(&second))
         }
-        (false, _) => format!("the whole fan {}", told(&whole)),
+        (None, None) => "nothing else can be shown".to_owned(),
     };
     let fine = match interest.required_m.is_empty() {
         true => String::new(),
@@ -251,7 +245,12 @@ pub(super) fn with_fine_rows(
     }
     profile.tilts.sort_by_key(|tilt| std::cmp::Reverse(*tilt));
     profile.tilts.dedup();
-    profile
+    reachable(profile, view)
+}
+
+/// The rows of `profile` within the tilt's reach.
+pub(super) fn reachable(profile: Profile, view: &GroundView<'_>) -> Profile {
+    profile.clipped(view.head.tilt().and_then(|axis| axis.limits)).0
 }
 
 /// A UT2004 link, calibrated, with readings.
@@ -267,6 +266,7 @@ pub(super) fn hinge_pace() -> Pace {
         interval_s: 0.2,
         tolerance_rad: 0.001,
         unknown_settle_s: 1.5,
+        obeyed_s: 0.06,
     }
 }
 
@@ -280,7 +280,7 @@ mod tests {
     fn chosen(interest: &Interest) -> Offer {
         let head = head(Some(AngleSpan::new(-1.0, 1.0)), Some(0.17));
         let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: FRAC_PI_2 };
-        choose(&view, &FanConfig::default(), interest, &hinge_pace(), 0.3).unwrap()
+        choose(&view, &FanConfig::default(), interest, &hinge_pace(), (0.3, 0.0)).unwrap()
     }
 
     /// Unseen ground right before the robot alone.
@@ -306,7 +306,9 @@ mod tests {
         assert!(offer.request.profile.name.starts_with("fan from"), "{}", offer.reason);
         let whole = chosen(&near());
         assert!(offer.seconds < 0.7 * whole.seconds, "{} {}", offer.seconds, whole.seconds);
-        assert!((offer.gain_m2 - 32.0).abs() < 1e-9 && offer.reason.contains("the whole fan"));
+        // Beyond seven metres a quarter of a degree is more than a ring's spacing.
+        assert!((28.0..=32.0).contains(&offer.gain_m2), "{}", offer.reason);
+        assert!(offer.reason.contains("the whole fan"), "{}", offer.reason);
     }
 
     #[test]
@@ -322,6 +324,30 @@ mod tests {
         let offer = chosen(&Interest::default());
         assert!(offer.seconds < chosen(&near()).seconds, "{}", offer.reason);
         assert!(offer.reason.contains("the whole fan 0.0 m²"), "{}", offer.reason);
+    }
+
+    #[test]
+    fn offers_keep_to_the_reach_of_the_tilt_and_promise_no_more_than_they_show() {
+        let mut interest = Interest::default();
+        (2..30).for_each(|ring| interest.add(0.25 * f64::from(ring), 1.0));
+        interest.require(0.9);
+        interest.require(6.0);
+        // Ground is seen from 2.4 m on in the first, and out to 3.2 m in the second.
+        for (least, most) in [(-0.5, 0.2), (0.15, 1.0)] {
+            let limits = AngleSpan::new(least, most);
+            let head = head(Some(limits), Some(0.17));
+            let view = GroundView { head: &head, origin_height_m: 0.18, half_fov_rad: FRAC_PI_2 };
+            let config = FanConfig::default();
+            let offer = choose(&view, &config, &interest, &hinge_pace(), (0.18, 0.0)).unwrap();
+            let tilts = &offer.request.profile.tilts;
+            assert!(tilts.iter().all(|tilt| limits.contains(tilt.radians())), "{tilts:?}");
+            let seen = |tilt: f64| view.ground_ahead_m(tilt).unwrap_or(f64::INFINITY);
+            let (near_m, far_m) = (seen(most), seen(least));
+            let in_sight = (2..30).map(|ring| 0.25 * (f64::from(ring) + 0.5));
+            let in_sight = in_sight.filter(|r| (near_m..=far_m).contains(r)).count() as f64;
+            assert!(offer.gain_m2 <= in_sight, "{} of {in_sight} m²", offer.gain_m2);
+            assert!(offer.gain_m2 > 0.7 * in_sight, "{} of {in_sight} m²", offer.gain_m2);
+        }
     }
 
     #[test]

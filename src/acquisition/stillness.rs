@@ -164,13 +164,24 @@ impl StillWatch {
             self.facings = [self.facings[1], Some(facing)];
         }
         let mut run = Run::changed(seen.clone(), self.steepest_facing());
-        // A slow change may have been over some lines before it was told from the noise.
+        // A slow change may have been over some lines before it was told from the noise. What a tilt has
+        // left behind does not come into sight again, so that a line alone that differs is no change.
+        let agrees = |earlier: &Seen| {
+            let agreement = agreement(&earlier.line, &seen.line);
+            matches!(agreement, Agreement::Same { .. } | Agreement::Blind { .. })
+        };
+        let mut odd = false;
         for earlier in self.recent.iter().rev() {
-            run.before_rad = Some(earlier.tilt_rad);
-            match agreement(&earlier.line, &seen.line) {
-                Agreement::Same { .. } | Agreement::Blind { .. } => run.since = earlier.cast,
-                Agreement::Different | Agreement::Unknown => break,
+            let agrees = agrees(earlier);
+            if agrees {
+                run.since = earlier.cast;
+            } else if odd {
+                break;
             }
+            if agrees || !odd {
+                run.before_rad = Some(earlier.tilt_rad);
+            }
+            odd = !agrees;
         }
         self.reached_rad = run.before_rad.or(self.reached_rad);
         run
@@ -285,6 +296,16 @@ mod tests {
     fn a_tilt_that_stops_over_ground_is_found_out_to_half_a_degree() {
         let moves = steps(6.0, 0.25, 40).map(|tilt| (tilt, tilt));
         let stops = steps(16.0, 0.25, 90).map(|tilt| (16.0, tilt));
+        let watch = watched(&World::default(), &moves.chain(stops).collect::<Vec<_>>());
+        let rest_deg = watch.unmoved(Span::ZERO).unwrap().rest_rad.to_degrees();
+        assert!((15.5..=16.0).contains(&rest_deg), "{rest_deg}");
+    }
+
+    #[test]
+    fn something_that_passes_by_a_tilt_at_rest_is_no_turn() {
+        let moves = steps(6.0, 0.25, 40).map(|tilt| (tilt, tilt));
+        let stops = steps(16.0, 0.25, 90).enumerate();
+        let stops = stops.map(|(i, tilt)| (if i == 5 { 17.0 } else { 16.0 }, tilt));
         let watch = watched(&World::default(), &moves.chain(stops).collect::<Vec<_>>());
         let rest_deg = watch.unmoved(Span::ZERO).unwrap().rest_rad.to_degrees();
         assert!((15.5..=16.0).contains(&rest_deg), "{rest_deg}");

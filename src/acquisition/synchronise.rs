@@ -104,6 +104,7 @@ mod tests {
             bearing_step_rad: 0.5,
             min_range_m: 0.1,
             max_range_m: 20.0,
+            phantom_m: None,
             ranges_m: vec![1.0; 5],
         }
     }

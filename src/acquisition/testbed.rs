@@ -177,6 +177,7 @@ pub fn line_at(world: &World, head: &ScanHead, pose: HeadPose, scale: f64) -> La
         bearing_step_rad: step,
         min_range_m: 0.1,
         max_range_m: 20.0,
+        phantom_m: None,
         ranges_m,
     }
 }

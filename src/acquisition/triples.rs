@@ -339,6 +339,7 @@ fn triple_of(line: &str) -> Result<Triple, String> {
             bearing_step_rad,
             min_range_m: min,
             max_range_m: max,
+            phantom_m: None,
             ranges_m: ranges.to_vec(),
         },
     })

@@ -359,6 +359,7 @@ impl Running {
             desk.info("far from the last sweep: taking one on the way");
             return self.look_here(desk);
         }
+        self.heed_latency(desk);
         self.renew_grid(desk);
         let parked = self.parked(desk.now);
         match parked {
@@ -398,12 +399,12 @@ impl Running {
     }
 
     /// Stops and sweeps where the robot stands.
-    fn look_here(&mut self, desk: &mut Desk<'_>) {
+    pub(super) fn look_here(&mut self, desk: &mut Desk<'_>) {
         self.end_nod("the robot stops to look", desk);
         match self.best_look(desk.config) {
             Some(offer) => {
                 desk.info(format!("looking: {}", offer.reason));
-                self.settle(Look::Sweep(offer.request), desk);
+                self.settle_calibrated(Look::Sweep(offer.request), desk);
             }
             None => {
                 // A fixed laser looks all the time: what it shows from here is in the grid already.

@@ -87,6 +87,7 @@ mod tests {
                 bearing_step_rad: 1_f64.to_radians(),
                 min_range_m: 0.1,
                 max_range_m: 20.0,
+                phantom_m: None,
                 ranges_m,
             };
             let row = ImageRow {

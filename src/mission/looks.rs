@@ -4,7 +4,9 @@ use super::config::{AgentConfig, FineSweep, LookPolicy};
 use super::running::Running;
 use crate::acquisition::{Interest, Offer, Profile, SweepRequest};
 use crate::mapping::Mode as MapperMode;
+use crate::navigation::Pose2;
 use crate::terrain::CellClass;
+use nalgebra::Point2;
 
 /// Bearings between the rays along which unseen ground is looked for, in radians.
 const BEARING_STEP_RAD: f64 = 0.05;
@@ -15,6 +17,9 @@ const STEP_M: f64 = 0.1;
 const WAY_WITHIN_M: f64 = 2.5;
 /// Half the width of that way in metres: the robot's own and a person's shoulder.
 const WAY_HALF_WIDTH_M: f64 = 0.5;
+/// What is supposed of the time between two looks before a mission has shown it: seconds in all, and how
+/// many times that is.
+const USUALLY_BETWEEN: (f64, f64) = (30.0, 3.0);
 
 impl Running {
     /// The ground in sight that was not seen well enough.
@@ -24,12 +29,14 @@ impl Running {
         let reach_m = acquisition.config().fan.reach_m;
         let blind_m = self.rig.visibility().and_then(|sight| sight.nearest_from_centre_m);
         let pose = self.pose2();
+        let way = self.way_ahead(&pose);
         let rays = (std::f64::consts::PI / BEARING_STEP_RAD) as i32 / 2;
         for bearing in (-rays..=rays).map(|i| f64::from(i) * BEARING_STEP_RAD) {
             let (sin, cos) = (pose.yaw_rad + bearing).sin_cos();
             let mut r = blind_m.unwrap_or(0.0);
             while r < reach_m {
-                let cell = self.grid.cell_of(pose.x_m + r * cos, pose.y_m + r * sin);
+                let at = Point2::new(pose.x_m + r * cos, pose.y_m + r * sin);
+                let cell = self.grid.cell_of(at.x, at.y);
                 let seen = self.grid.get(cell);
                 let unseen = match seen.class {
                     CellClass::Unknown | CellClass::Suspect => true,
@@ -38,11 +45,11 @@ impl Running {
                 if unseen {
                     interest.add(r, r * BEARING_STEP_RAD * STEP_M);
                 }
-                let in_the_way = bearing.cos() > 0.0
-                    && r < WAY_WITHIN_M
-                    && (r * bearing.sin()).abs() < WAY_HALF_WIDTH_M;
                 let hidden = matches!(seen.class, CellClass::Suspect | CellClass::Unknown);
-                if in_the_way && hidden {
+                let in_the_way = |way: &Point2<f64>| {
+                    nalgebra::distance_squared(way, &at) < WAY_HALF_WIDTH_M.powi(2)
+                };
+                if hidden && r < WAY_WITHIN_M && way.iter().any(in_the_way) {
                     interest.require(r);
                 }
                 if seen.opaque {
@@ -54,13 +61,32 @@ impl Running {
         interest
     }
 
+    /// Where the robot is going to drive: along what is left of its path, or straight ahead where it has
+    /// come to its end.
+    fn way_ahead(&self, pose: &Pose2) -> Vec<Point2<f64>> {
+        let way = self.pilot.way_ahead(pose, WAY_WITHIN_M, STEP_M);
+        if way.len() as f64 * STEP_M >= WAY_HALF_WIDTH_M {
+            return way;
+        }
+        let steps = (WAY_WITHIN_M / STEP_M) as u32;
+        (1..=steps).map(|step| pose.driven(STEP_M * f64::from(step), 0.0).point()).collect()
+    }
+
+    /// Seconds that pass from the end of one sweep to the beginning of the next, as it was so far.
+    fn between_looks_s(&self) -> f64 {
+        let split = self.ledger.split;
+        let between_s = split.think_s + split.drive_s + split.turn_s + split.recover_s;
+        let standing = self.ledger.sweeps.iter().filter(|sweep| sweep.driven_m.is_none()).count();
+        (USUALLY_BETWEEN.0 + between_s) / (USUALLY_BETWEEN.1 + standing as f64)
+    }
+
     /// The sweep that shows most per second from here, and why.
     pub(super) fn best_look(&self, config: &AgentConfig) -> Option<Offer> {
         let view = self.rig.ground_view()?;
         let flowing = config.mission.flowing_sweeps;
         let acquisition = self.acquisition.as_ref()?;
         let interest = self.interest();
-        let offer = acquisition.choose(&view, &interest, flowing)?;
+        let offer = acquisition.choose(&view, &interest, flowing, self.between_looks_s())?;
         let mut request = match config.mission.looks {
             LookPolicy::Auto => return Some(offer),
             LookPolicy::Full => self.full_sweep(config)?,

@@ -27,6 +27,7 @@ mod readings;
 mod resume;
 mod running;
 mod sign_test;
+mod slow_line;
 mod sweeps;
 mod tally;
 mod teleop;

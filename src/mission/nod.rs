@@ -51,7 +51,8 @@ impl Running {
             return;
         }
         let scan = self.acquisition.as_mut().and_then(|a| a.stop_sweep(why, desk.now));
-        if let Some(scan) = scan {
+        if let Some(mut scan) = scan {
+            self.phantom.take_from(&mut scan.image, &self.belief.world_from_robot());
             self.ledger.sweep(&scan);
             self.finish_nod(scan, desk);
         }

@@ -6,7 +6,7 @@ mod operated;
 pub use operated::{Hold, Way};
 
 use super::config::AgentConfig;
-use crate::acquisition::{GuardTilt, ParkState, guard_tilt};
+use crate::acquisition::{GuardConfig, GuardTilt, ParkState, guard_tilt};
 use crate::navigation::{
     Blocked, DriveCommand, FollowConfig, FollowStatus, Follower, Footprint, Guard, GuardVerdict,
     Motion, Path, Pose2, Recovery, RecoveryStep, StuckDetector, Swath, Trail, Trouble,
@@ -58,6 +58,7 @@ pub struct Pilot {
     stuck: StuckDetector,
     slow_mps: f64,
     guard_age: Span,
+    late_s: f64,
 }
 
 /// What the guard line last said.
@@ -78,7 +79,7 @@ impl Pilot {
     /// A pilot for a rig of this shape.
     pub fn new(config: &AgentConfig, rig: &Rig, shape: &RobotShape) -> Self {
         let edge_margin_m = config.belief.terrain.edge_margin_m;
-        let (follow, guard_tilt) = guarded(config, rig);
+        let (follow, guard_tilt) = guarded(config, rig, 0.0);
         Self {
             footprint: Footprint::new(shape, edge_margin_m),
             guard: Guard::new(config.guard.clone(), shape),
@@ -91,16 +92,24 @@ impl Pilot {
             guard_age: Span::from_seconds(config.mission.guard_age_s),
             follower: Follower::new(follow, shape, edge_margin_m),
             shape: shape.clone(),
+            late_s: 0.0,
         }
     }
 
-    /// Goes by what the rig's tilt reaches now; the path and the way back stay.
-    pub fn refit(&mut self, config: &AgentConfig, rig: &Rig) {
-        let (follow, guard_tilt) = guarded(config, rig);
+    /// Goes by what the rig's tilt reaches now, and by commands that are obeyed `late_s` seconds later
+    /// than the configuration supposes; the path and the way back stay.
+    pub fn refit(&mut self, config: &AgentConfig, rig: &Rig, late_s: f64) {
+        let (follow, guard_tilt) = guarded(config, rig, late_s);
+        self.late_s = late_s;
         self.guard_tilt = guard_tilt;
         self.slow_mps = follow.slow_mps;
         self.watch = Watch::default();
         self.follower.reconfigure(follow);
+    }
+
+    /// Seconds by which commands are taken to be obeyed later than the configuration supposes.
+    pub fn late_s(&self) -> f64 {
+        self.late_s
     }
 
     /// Where the tilt is parked while driving; `None` for a laser that cannot guard.
@@ -111,6 +120,18 @@ impl Pilot {
     /// Greatest speed with and without a guard line, in m/s.
     pub fn speeds_mps(&self) -> (f64, f64) {
         (self.follower.config().full_mps, self.slow_mps)
+    }
+
+    /// The way that is left of the path from `pose` on, up to `within_m`, as points a cell of `step_m`
+    /// apart.
+    pub fn way_ahead(&self, pose: &Pose2, within_m: f64, step_m: f64) -> Vec<Point2<f64>> {
+        let path = self.follower.path();
+        let length_m = path.length_m();
+        let Some((from_m, _)) = path.nearest(&pose.point(), 0.0, length_m) else {
+            return Vec::new();
+        };
+        let steps = ((length_m - from_m).min(within_m) / step_m).max(0.0) as u32;
+        (1..=steps).map(|step| path.pose_at(from_m + step_m * f64::from(step)).point()).collect()
     }
 
     /// How far the path leads on from `pose` over ground that was seen well, up to `within_m`.
@@ -311,15 +332,18 @@ impl Pilot {
 }
 
 /// How fast a rig may follow a path, and where its laser guards the way.
-fn guarded(config: &AgentConfig, rig: &Rig) -> (FollowConfig, Option<GuardTilt>) {
+fn guarded(config: &AgentConfig, rig: &Rig, late_s: f64) -> (FollowConfig, Option<GuardTilt>) {
     let mut follow = config.follow.clone();
+    let guard = &config.acquisition.guard;
+    let guard = GuardConfig { reaction_s: guard.reaction_s + late_s, ..guard.clone() };
+    // Without a guard line no more ground is passed before a stop is obeyed than without the delay.
+    follow.slow_mps *= follow.latency_s / (follow.latency_s + late_s).max(1e-3);
+    follow.latency_s += late_s;
     // A robot that cannot turn its wheels faster is not asked to.
     follow.full_mps = follow.full_mps.min(0.95 * rig.drive.max_linear_mps());
     follow.slow_mps = follow.slow_mps.min(follow.full_mps);
     follow.turn_rps = follow.turn_rps.min(0.95 * rig.drive.max_angular_rps());
-    let guard_tilt = rig
-        .ground_view()
-        .and_then(|view| guard_tilt(follow.full_mps, &view, &config.acquisition.guard));
+    let guard_tilt = rig.ground_view().and_then(|view| guard_tilt(follow.full_mps, &view, &guard));
     if let Some(tilt) = guard_tilt {
         follow.full_mps = follow.full_mps.min(tilt.max_speed_mps);
     }

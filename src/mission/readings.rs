@@ -119,6 +119,7 @@ impl Running {
     }
 
     fn line(&mut self, line: &LaserLine, desk: &mut Desk<'_>) {
+        let line = &self.without_phantom(line);
         let Some(acquisition) = &self.acquisition else {
             return self.planar_line(line);
         };
@@ -145,6 +146,13 @@ impl Running {
             }
         }
         self.head_event(&HeadEvent::Line(line), desk);
+    }
+
+    /// `line` without the beams that hit nothing, where these carry a range.
+    fn without_phantom(&mut self, line: &LaserLine) -> LaserLine {
+        let head = self.acquisition.as_ref().and_then(|found| found.pose_of_line(line));
+        let robot_from_sensor = self.rig.robot_from_sensor(head.unwrap_or_default());
+        self.phantom.without(line, &(self.belief.world_from_robot() * robot_from_sensor))
     }
 
     /// A line of a laser that does not tilt: flat occupancy.

@@ -13,7 +13,7 @@ use crate::acquisition::{Acquisition, HeadEvent, Profile, SweepRequest};
 use crate::exploration::{Explorer, Frontier, FrontierLeft};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
 use crate::protocol::Command;
-use crate::robot::{BodySpeed, Rig, WheelCount};
+use crate::robot::{BodySpeed, PhantomWatch, Rig, WheelCount};
 use crate::terrain::{CellIndex, Grid, RobotShape};
 use crate::time::{Arrival, Span, Stamp};
 use crate::victims::{Candidate, Candidates, VictimConfig};
@@ -119,6 +119,8 @@ pub struct Running {
     pub(super) refusal_told: bool,
     pub(super) ledger: Ledger,
     pub(super) candidates: Candidates,
+    /// What beams carry that hit nothing.
+    pub(super) phantom: PhantomWatch,
     pub(super) victim_config: VictimConfig,
     /// What was left when nothing was worth going to, as long as that is so.
     pub(super) frontiers_left: Option<Vec<FrontierLeft>>,
@@ -190,6 +192,7 @@ impl Running {
             held: None,
             refusal_told: false,
             ledger: Ledger::default(),
+            phantom: PhantomWatch::default(),
             candidates: Candidates::default(),
             victim_config: config.victims,
             frontiers_left: None,

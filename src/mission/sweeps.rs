@@ -32,14 +32,19 @@ impl Running {
                         desk.info("pan-tilt: once more");
                         self.queue.push_front(Look::Calibrate);
                     }
-                    self.next_look_or_choose(desk);
+                    match self.queue.is_empty() && !self.first_scan_due {
+                        // On the way, where a sweep was due.
+                        true => self.look_here(desk),
+                        false => self.next_look_or_choose(desk),
+                    }
                 }
             }
         }
     }
 
     /// A sweep has ended: everything it told enters the belief.
-    fn finish_sweep(&mut self, scan: Scan, desk: &mut Desk<'_>) {
+    fn finish_sweep(&mut self, mut scan: Scan, desk: &mut Desk<'_>) {
+        self.phantom.take_from(&mut scan.image, &self.belief.world_from_robot());
         self.ledger.sweep(&scan);
         for remark in &scan.remarks {
             let text = format!("{} sweep: {remark}", scan.profile);
@@ -137,7 +142,7 @@ impl Running {
         if let Some(laser) = &mut self.rig.laser {
             laser.head.limit_tilt(reach.limits());
         }
-        self.pilot.refit(desk.config, &self.rig);
+        self.pilot.refit(desk.config, &self.rig, self.pilot.late_s());
         let explore = explorer(desk.config, &self.rig, self.acquisition.as_ref());
         self.explorer.sees(explore.config().blind_m, explore.config().scan_s);
         if !self.may_explore(desk.config) {

@@ -89,18 +89,21 @@ impl Laser {
         }
         let stamp = message.time.or(fallback).ok_or_else(|| LaserError::NoTime { name: name() })?;
         let beams = self.beams(message, dialect);
+        let (ranges_m, phantom_m) = match dialect {
+            Dialect::Ut2004 => {
+                let uncut = |&range: &f64| uncut(range, UT2004_RANGE_STEP_M);
+                (message.ranges_m.iter().map(uncut).collect(), None)
+            }
+            Dialect::Udk => self.udk_ranges(&message.ranges_m, beams.step_rad),
+        };
         Ok(LaserLine {
             stamp,
             first_bearing_rad: beams.first_bearing_rad,
             bearing_step_rad: beams.step_rad,
             min_range_m: self.min_range_m,
             max_range_m: self.max_range_m,
-            ranges_m: match dialect {
-                Dialect::Ut2004 => {
-                    message.ranges_m.iter().map(|&r| uncut(r, UT2004_RANGE_STEP_M)).collect()
-                }
-                Dialect::Udk => self.udk_ranges(&message.ranges_m, beams.step_rad),
-            },
+            ranges_m,
+            phantom_m,
         })
     }
 
@@ -121,20 +124,19 @@ impl Laser {
         Span::from_millis(200)
     }
 
-    fn udk_ranges(&self, ranges_m: &[f64], step_rad: f64) -> Vec<f64> {
+    /// Ranges as meant, and what those carry that hit nothing, where the line shows it.
+    fn udk_ranges(&self, ranges_m: &[f64], step_rad: f64) -> (Vec<f64>, Option<f64>) {
         // A scanner that writes finer than two decimals is no SICK of UDK and is not cut to them.
         let coarse = ranges_m
             .iter()
             .all(|r| ((r / UDK_RANGE_STEP_M).round() * UDK_RANGE_STEP_M - r).abs() < 1e-6);
         let step_m = if coarse { UDK_RANGE_STEP_M } else { UT2004_RANGE_STEP_M };
         let phantom = coarse.then(|| phantom_range(ranges_m, self.max_range_m, step_rad)).flatten();
-        ranges_m
-            .iter()
-            .map(|&range| match phantom {
-                Some(phantom) if (range - phantom).abs() < 1.5 * UDK_RANGE_STEP_M => NO_READING,
-                _ => uncut(range, step_m),
-            })
-            .collect()
+        let meant = |&range: &f64| match phantom {
+            Some(phantom) if (range - phantom).abs() < 1.5 * UDK_RANGE_STEP_M => NO_READING,
+            _ => uncut(range, step_m),
+        };
+        (ranges_m.iter().map(meant).collect(), phantom.map(|phantom| uncut(phantom, step_m)))
     }
 }
 

@@ -17,6 +17,7 @@ mod frames;
 mod head;
 mod laser;
 mod mount;
+mod phantom;
 mod readings;
 mod rig;
 mod signs;
@@ -34,6 +35,7 @@ pub use frames::{
 pub use head::{Axis, Demand, HeadPose, HeadReading, JointAngle, ScanHead};
 pub use laser::{Laser, LaserError};
 pub use mount::{Joint, JointKind, Mount};
+pub use phantom::PhantomWatch;
 pub use readings::{Echo, InsReading, OdometryReading, SonarEcho, TagSighting, VictimSighting};
 pub use rig::{Body, Device, Rig, SonarSensor};
 pub use signs::{SignVerdict, pan_sign, tilt_sign};

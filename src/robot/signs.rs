@@ -178,6 +178,7 @@ mod tests {
             bearing_step_rad: step,
             min_range_m: 0.1,
             max_range_m: 20.0,
+            phantom_m: None,
             ranges_m,
         }
     }

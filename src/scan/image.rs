@@ -80,6 +80,12 @@ impl RangeImage {
         }
     }
 
+    /// Takes the reading of a row and column for none.
+    pub fn forget(&mut self, row: usize, column: usize) {
+        let at = row * self.columns() + column;
+        self.ranges_m[at] = f32::NAN;
+    }
+
     /// The point `range_m` along the beam of a row and column, in the scan frame.
     pub fn point_at(&self, row: usize, column: usize, range_m: f64) -> Point3<f64> {
         let (sin, cos) = self.bearings_rad[column].sin_cos();

@@ -32,6 +32,8 @@ pub struct LaserLine {
     pub max_range_m: f64,
     /// Distances in metres as received; NaN where the wire had no usable number.
     pub ranges_m: Vec<f64>,
+    /// The range that beams carry here which hit nothing, where the line itself shows that; they are NaN.
+    pub phantom_m: Option<f64>,
 }
 
 impl LaserLine {

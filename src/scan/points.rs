@@ -61,6 +61,7 @@ impl RangeImage {
                 bearing_step_rad: 0.0,
                 min_range_m: 0.0,
                 max_range_m: BEYOND_M,
+                phantom_m: None,
                 ranges_m,
             };
             image.push_line(of_row, &line);

@@ -162,3 +162,91 @@ fn limits_narrower_than_told_without_readings_leave_the_rows_within() {
         assert!(filed[4] >= 40, "{scenario}: {filed:?}: {:?}", scans[4].remarks);
     }
 }
+
+/// The number of rows that a remark tells, which ends in `says`.
+fn rows_told(scan: &Scan, says: &str) -> Option<usize> {
+    let remark = scan.remarks.iter().find(|remark| remark.contains(says))?;
+    remark.split(says).next()?.split_whitespace().next_back()?.parse().ok()
+}
+
+#[test]
+fn a_laser_that_stops_is_told_with_the_rows_that_were_filed() {
+    let (_, scan) = scan_with(FaultKind::SensorLoss, Some("RangeScanner"), None);
+    assert_eq!(rows_told(&scan, " rows taken"), Some(scan.filed), "{:?}", scan.remarks);
+}
+
+#[test]
+fn a_line_to_the_server_that_becomes_slower_leaves_the_rows_before() {
+    for late_s in [0.15, 0.5, 0.7, 0.9] {
+        let late = fault(FaultKind::Delay, 55.0, Some(late_s));
+        let (_, scans) = without_readings("box", late, 2);
+        let scan = &scans[0];
+        let told = |part: &str| scan.remarks.iter().any(|remark| remark.contains(part));
+        assert!(scan.filed >= 30 && !scan.complete, "{late_s}: {} rows", scan.filed);
+        assert!(told("rows are left out: messages began to come"), "{late_s}: {:?}", scan.remarks);
+        // Later ones are taken at rest, as many rows as there is time for.
+        assert!(scans[1].filed >= 30, "{late_s}: {} rows: {:?}", scans[1].filed, scans[1].remarks);
+        assert!(scans[1].seconds() < 120.0, "{late_s}: {} s", scans[1].seconds());
+    }
+}
+
+#[test]
+fn a_clock_that_falls_back_a_little_puts_no_row_into_the_wrong_place() {
+    // No jump that is told by its size: it looks as if the line had become slower.
+    let back = fault(FaultKind::ClockJump, 55.0, Some(-0.7));
+    let (_, scans) = without_readings("box", back, 1);
+    assert!(scans[0].filed >= 30 && !scans[0].complete, "{} rows", scans[0].filed);
+}
+
+#[test]
+fn messages_that_are_held_up_for_a_moment_cost_no_row() {
+    for kind in [FaultKind::Stall, FaultKind::Delay] {
+        let held = FaultSpec { for_s: Some(1.0), ..fault(kind, 55.0, Some(0.8)) };
+        let (_, scans) = without_readings("box", held, 1);
+        assert!(scans[0].complete, "{kind:?}: {:?}", scans[0].remarks);
+        assert!(scans[0].filed >= 210, "{kind:?}: {} rows", scans[0].filed);
+    }
+}
+
+#[test]
+fn readings_out_of_order_hide_no_tilt_that_sticks_or_reaches_less() {
+    for dialect in [Dialect::Ut2004, Dialect::Udk] {
+        for (kind, value) in [(FaultKind::TiltStuck, None), (FaultKind::TiltLimits, Some(0.3))] {
+            let what = if dialect == Dialect::Udk { "ASTA" } else { "MISSTA" };
+            let late = FaultSpec {
+                what: Some(what.to_owned()),
+                ..fault(FaultKind::Reorder, 3.0, Some(1.0))
+            };
+            let faults = vec![late, fault(kind, 55.0, value)];
+            let setting = Setting { faults, ..Setting::new(dialect, true) };
+            let mut bench = Bench::new(&setting, AcquisitionConfig::default());
+            bench.calibrate();
+            let scan = bench.take(SweepRequest::model());
+            assert!(!scan.complete && scan.filed >= 10, "{dialect:?} {kind:?}: {}", scan.filed);
+            let worst = quantile(&bench.tilt_errors_deg(&scan), 1.0);
+            assert!(worst <= 0.25, "{dialect:?} {kind:?}: {worst}");
+            let told = |remark: &String| remark.contains("the tilt rests at");
+            assert!(scan.remarks.iter().any(told), "{dialect:?} {kind:?}: {:?}", scan.remarks);
+            assert!(bench.acquisition.control().reach().is_narrowed(), "{dialect:?} {kind:?}");
+        }
+    }
+}
+
+#[test]
+fn readings_three_seconds_late_from_the_beginning_end_in_a_usable_scan() {
+    for dialect in [Dialect::Ut2004, Dialect::Udk] {
+        let what = if dialect == Dialect::Udk { "ASTA" } else { "MISSTA" };
+        let late =
+            FaultSpec { what: Some(what.to_owned()), ..fault(FaultKind::Delay, 1.0, Some(3.0)) };
+        let setting = Setting { faults: vec![late], ..Setting::new(dialect, true) };
+        let mut bench = Bench::new(&setting, AcquisitionConfig::default());
+        let report = bench.calibrate();
+        let scan = bench.take(SweepRequest::model());
+        assert!(scan.filed >= 15, "{dialect:?}: {}: {:?}", scan.filed, scan.remarks);
+        assert!(scan.seconds() < 150.0, "{dialect:?}: {} s, {}", scan.seconds(), report.text);
+        let worst = quantile(&bench.tilt_errors_deg(&scan), 0.99);
+        assert!(worst <= 0.15, "{dialect:?}: {worst}, {}", report.text);
+        let told = report.warning.is_some() || scan.remarks.iter().any(|r| r.contains("at rest"));
+        assert!(told, "{dialect:?}: {} {:?}", report.text, scan.remarks);
+    }
+}

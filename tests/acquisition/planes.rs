@@ -98,6 +98,7 @@ pub fn lines_of(image: &RangeImage) -> Vec<LaserLine> {
         bearing_step_rad: std::f64::consts::PI / (image.columns() - 1) as f64,
         min_range_m: 0.1,
         max_range_m: 20.0,
+        phantom_m: None,
         ranges_m: (0..image.columns())
             .map(|column| match image.at(at, column) {
                 Return::Hit(range) => range,

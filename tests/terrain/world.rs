@@ -199,6 +199,7 @@ impl Laser {
             bearing_step_rad: 1.0_f64.to_radians(),
             min_range_m: 0.1,
             max_range_m: self.max_range,
+            phantom_m: None,
             ranges_m: Vec::new(),
         };
         let origin = Point3::from(world_from_sensor.translation.vector);

@@ -1,6 +1,6 @@
 //! Whether the tilt comes on, and what is left of a sweep when it does not.
 
-use super::{Flow, HELD_UP};
+use super::Flow;
 use crate::acquisition::HeadAction;
 use crate::acquisition::control::HeadControl;
 use crate::acquisition::profile::QuarterDegrees;
@@ -11,6 +11,9 @@ use crate::time::{Arrival, Span};
 
 /// Time without progress, by the stamps of lines, after which the tilt is taken to be stuck.
 const IDLE: Span = Span::from_millis(2_900);
+/// Lines that come later than this were held up. No set-point could follow them, so that a tilt that
+/// rested meanwhile rested where it was told to.
+const HELD_UP: Span = Span::from_millis(1_000);
 
 impl Flow {
     /// Told to stay, so that the law does not carry it on towards what it cannot reach.
@@ -69,7 +72,9 @@ impl Flow {
     pub(super) fn rests(&self, line: &LaserLine, control: &HeadControl) -> bool {
         // A slow approach moves by little between lines; only readings can tell it from a stop.
         let idle = self.idle_since.map(|since| control.cast_time(line) - since);
-        idle.is_some_and(|idle| idle >= IDLE) && !control.tilt.moves(control.clock().latest())
+        let late = self.readings_late + control.timing.command_delay;
+        idle.is_some_and(|idle| idle >= IDLE + late)
+            && !control.tilt.moves(control.clock().latest())
     }
 
     /// Where a tilt rests that is not where it should be: as it reads itself, where it does.

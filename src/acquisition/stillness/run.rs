@@ -17,6 +17,8 @@ const DOUBT_LINES: u32 = 3;
 const DOUBT_RAD: f64 = 0.0085;
 /// Surfaces count as upright within this of it, in radians.
 const UPRIGHT_RAD: f64 = 0.14;
+/// Slope of the ranges of a surface seen at a slant of a quarter of a right angle.
+const STEEPEST: f64 = 2.5;
 /// What a perpendicular found from a slope may be off by, in radians.
 const FACING_RAD: f64 = 0.05;
 
@@ -178,13 +180,18 @@ impl Run {
         if !self.sees_ahead {
             return self.lines >= DOUBT_LINES && self.travel_rad() >= PROOF_RAD;
         }
-        let Some(facing) = self.facing else { return false };
         let enough = self.lines >= DOUBT_LINES && self.travel_rad() >= DOUBT_RAD;
         let seen = CERTAIN * self.tolerance;
-        let at = facing.perpendicular_rad;
+        // Steeper than any surface is seen: the tilt did not turn as the law had it, so that the change
+        // says nothing of what is in sight.
+        let facing = self.facing.filter(|facing| facing.slope.abs() < STEEPEST);
+        let was_in_sight = |facing: Facing| {
+            let at = facing.perpendicular_rad;
+            self.least_change(at - FACING_RAD, at + FACING_RAD) >= seen
+        };
         enough
             && self.least_change(-UPRIGHT_RAD, UPRIGHT_RAD) >= seen
-            && self.least_change(at - FACING_RAD, at + FACING_RAD) >= seen
+            && facing.is_none_or(was_in_sight)
     }
 
     /// Whether a line at `tilt_rad` that differs ends a run in which nothing ahead was hit, the tilt having
