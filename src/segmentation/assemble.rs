@@ -39,7 +39,7 @@ const LEAST_CORE_SHARE: f64 = 0.3;
 /// Share of a region's cells that are on further lines of the grid than the two that have most of them,
 /// below which the region is no plane by itself: through two lines there is one whatever they lie on, and
 /// nothing that contradicts it.
-const BEYOND_TWO_LINES: f64 = 0.1;
+const BEYOND_TWO_BEAMS: f64 = 0.1;
 /// Mean square error, in units of the noise, of two lines on a plane seen elsewhere that they may be a
 /// further piece of; both may have an error that all of a line has in common.
 const SAME_PLANE: f64 = 4.0;
@@ -377,14 +377,16 @@ impl Assembler {
         })
     }
 
-    /// Takes planes through two lines of the grid for none, unless they lie on one that was seen better.
+    /// Takes planes through two beams for none, unless they lie on one that was seen better: what is two
+    /// beams wide may as well be a column. Two rows of a floor are kept; what their tilts may be off by goes
+    /// along with them.
     fn refuse_guesses(&mut self, field: &Field) {
         self.planes.clear();
         self.guesses.clear();
         for (k, FittedRegion { component, shape, .. }) in self.fitted.iter().enumerate() {
             let Fitted::Plane(plane) = shape else { continue };
-            let beyond = self.components.beyond_two_lines(*component) as f64;
-            if beyond < BEYOND_TWO_LINES * self.components.sizes[*component] as f64 {
+            let beyond = self.components.beyond_two_beams(*component, field.transposed) as f64;
+            if beyond < BEYOND_TWO_BEAMS * self.components.sizes[*component] as f64 {
                 self.guesses.push(k);
             } else {
                 let (normal, offset_m) = plane.equation();

@@ -104,22 +104,23 @@ impl Components {
         self.runs(component).flatten()
     }
 
-    /// Cells of a component that are on neither of the two lines of the grid, of one direction, that
-    /// have most of them; counted across no more lines than are told apart.
-    pub fn beyond_two_lines(&self, component: usize) -> usize {
+    /// Cells of a component that are on neither of the two beams that have most of them; the field's lanes
+    /// are the beams unless it is turned.
+    pub fn beyond_two_beams(&self, component: usize, transposed: bool) -> usize {
         let width = self.width as usize;
-        let mut rows = LineCounts::default();
-        let mut columns = LineCounts::default();
+        let mut beams = LineCounts::default();
         for run in self.runs(component) {
-            rows.add(run.start / width, run.len());
-            columns.many |= run.len() > COUNTED_LINES;
-            if !columns.many {
-                run.for_each(|cell| columns.add(cell % width, 1));
-            } else if rows.many {
+            if transposed {
+                beams.add(run.start / width, run.len());
+            } else {
+                beams.many |= run.len() > COUNTED_LINES;
+                run.take(COUNTED_LINES).for_each(|cell| beams.add(cell % width, 1));
+            }
+            if beams.many {
                 break;
             }
         }
-        rows.beyond_two().min(columns.beyond_two())
+        beams.beyond_two()
     }
 
     /// Finds the components of `labels`; 0 is no label. They are numbered by their first cell, and
