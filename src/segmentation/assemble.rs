@@ -36,12 +36,12 @@ const THICKEST: f64 = 0.1;
 const FEWEST_CORE: usize = 12;
 const LEAST_CORE_SHARE: f64 = 0.3;
 
-/// Share of a region's cells that are on further lines of the grid than the two that have most of them,
-/// below which the region is no plane by itself: through two lines there is one whatever they lie on, and
+/// Share of a region's cells that are on further beams than the two that have most of them,
+/// below which the region is no plane by itself: through two beams there is one whatever they lie on, and
 /// nothing that contradicts it.
 const BEYOND_TWO_BEAMS: f64 = 0.1;
-/// Mean square error, in units of the noise, of two lines on a plane seen elsewhere that they may be a
-/// further piece of; both may have an error that all of a line has in common.
+/// Mean square error, in units of the noise, of two beams on a plane seen elsewhere that they may be a
+/// further piece of; both may have an error that all of a beam has in common.
 const SAME_PLANE: f64 = 4.0;
 
 /// Mean square error of a plane, beyond one and in units of the noise, from which on a step or the like
@@ -66,7 +66,7 @@ pub(super) struct Assembler {
     fit_gain: Vec<f32>,
     readings: Readings,
     fitted: Vec<FittedRegion>,
-    /// Planes that were seen on more than two lines, and the fitted regions that were not.
+    /// Planes that were seen on more than two beams, and the fitted regions that were not.
     planes: Vec<[f64; 3]>,
     guesses: Vec<usize>,
     order: Vec<(usize, usize)>,
