@@ -41,8 +41,8 @@ const MOST_OFF_M: f64 = 0.06;
 const LEVEL: f64 = 0.03;
 /// Neighbours on one surface differ by less than this share of their range.
 const SAME_SURFACE: f64 = 0.05;
-/// Beams in all rows of a scan that make such a range, and how many times as many as of any range about it
-/// they are: a surface seen square across a single line makes two and a half times as many.
+/// Beams like their neighbours in all rows of a scan that make such a range, and how many times as many as
+/// of any range about it they are: a surface seen square across a single line makes two and a half times as many.
 const FEWEST: usize = 8;
 const STANDS_OUT: usize = 4;
 
@@ -156,6 +156,9 @@ impl Phantom {
 }
 
 /// By how much the range that stands out among all rows is more than the distance to the map's origin.
+///
+/// Beams count that carry the same as the one beside them: a wall along the tilt's axis is seen at one range
+/// by the same beam of all rows, but at another by the next.
 fn standing_out(image: &RangeImage, poses: &[Isometry3<f64>]) -> Option<f64> {
     const BIN_M: f64 = 0.01;
     const ABOUT: usize = 10;
@@ -163,8 +166,15 @@ fn standing_out(image: &RangeImage, poses: &[Isometry3<f64>]) -> Option<f64> {
     let mut counts = vec![0_usize; bins];
     for (row, pose) in poses.iter().enumerate() {
         let from_origin_m = pose.translation.vector.norm();
-        for beam in 0..image.columns() {
-            let Return::Hit(range_m) = image.at(row, beam) else { continue };
+        for beam in 1..image.columns() {
+            let before = image.at(row, beam - 1);
+            let (Return::Hit(before_m), Return::Hit(range_m)) = (before, image.at(row, beam))
+            else {
+                continue;
+            };
+            if (range_m - before_m).abs() > 0.5 * BIN_M {
+                continue;
+            }
             let bin = ((range_m - from_origin_m + LEVEL_WITHIN_M) / BIN_M).floor();
             if (0.0..bins as f64).contains(&bin) {
                 counts[bin as usize] += 1;
