@@ -52,7 +52,7 @@ impl Running {
         }
         let scan = self.acquisition.as_mut().and_then(|a| a.stop_sweep(why, desk.now));
         if let Some(mut scan) = scan {
-            self.phantom.take_from(&mut scan.image, &self.belief.world_from_robot());
+            self.take_phantom_from(&mut scan.image);
             self.ledger.sweep(&scan);
             self.finish_nod(scan, desk);
         }

@@ -3,10 +3,10 @@
 use super::motion::PlanarPose;
 use super::running::{Activity, Desk, Running, Verdict};
 use crate::acquisition::{HeadEvent, ParkState};
-use crate::protocol::Message;
 use crate::protocol::message::Sen;
+use crate::protocol::{Dialect, Message};
 use crate::robot::{HeadPose, HeadReading, InsReading, OdometryReading};
-use crate::scan::LaserLine;
+use crate::scan::{LaserLine, RangeImage};
 use crate::time::{Span, Stamp};
 use nalgebra::Isometry3;
 
@@ -150,9 +150,19 @@ impl Running {
 
     /// `line` without the beams that hit nothing, where these carry a range.
     fn without_phantom(&mut self, line: &LaserLine) -> LaserLine {
+        if self.rig.dialect != Dialect::Udk {
+            return line.clone();
+        }
         let head = self.acquisition.as_ref().and_then(|found| found.pose_of_line(line));
         let robot_from_sensor = self.rig.robot_from_sensor(head.unwrap_or_default());
         self.phantom.without(line, &(self.belief.world_from_robot() * robot_from_sensor))
+    }
+
+    /// The same of a finished scan.
+    pub(super) fn take_phantom_from(&mut self, image: &mut RangeImage) {
+        if self.rig.dialect == Dialect::Udk {
+            self.phantom.take_from(image, &self.belief.world_from_robot());
+        }
     }
 
     /// A line of a laser that does not tilt: flat occupancy.

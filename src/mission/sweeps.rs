@@ -44,7 +44,7 @@ impl Running {
 
     /// A sweep has ended: everything it told enters the belief.
     fn finish_sweep(&mut self, mut scan: Scan, desk: &mut Desk<'_>) {
-        self.phantom.take_from(&mut scan.image, &self.belief.world_from_robot());
+        self.take_phantom_from(&mut scan.image);
         self.ledger.sweep(&scan);
         for remark in &scan.remarks {
             let text = format!("{} sweep: {remark}", scan.profile);
