@@ -61,15 +61,12 @@ impl Running {
         interest
     }
 
-    /// Where the robot is going to drive: along what is left of its path, or straight ahead where it has
-    /// come to its end.
+    /// Where the robot may drive next: along what is left of its path, and straight ahead, whither the next
+    /// path leads from its end or from where it is blocked.
     fn way_ahead(&self, pose: &Pose2) -> Vec<Point2<f64>> {
-        let way = self.pilot.way_ahead(pose, WAY_WITHIN_M, STEP_M);
-        if way.len() as f64 * STEP_M >= WAY_HALF_WIDTH_M {
-            return way;
-        }
         let steps = (WAY_WITHIN_M / STEP_M) as u32;
-        (1..=steps).map(|step| pose.driven(STEP_M * f64::from(step), 0.0).point()).collect()
+        let ahead = (1..=steps).map(|step| pose.driven(STEP_M * f64::from(step), 0.0).point());
+        self.pilot.way_ahead(pose, WAY_WITHIN_M, STEP_M).into_iter().chain(ahead).collect()
     }
 
     /// Seconds that pass from the end of one sweep to the beginning of the next, as it was so far.
