@@ -73,20 +73,24 @@ pub fn identify(
     let best = |starts: [[f64; 3]; 4], law_of: fn(&[f64; 3]) -> ServoLaw| {
         // The valley of the true noise is narrow and curved: the search begins with a noise that
         // widens it, and sharpens.
-        let search = |[a, b, _]: [f64; 3]| {
-            let cost = |delay_s: f64| case.cost(law_of(&[a, b, delay_s]), delay_s, 24.0);
-            // A jump obeyed much later than supposed shares nothing with the one supposed.
-            let delays =
-                (0..=MOST_DELAY.0 / DELAY_STEP.0).map(|i| 0.03 + DELAY_STEP.seconds() * i as f64);
-            let delay_s = delays.min_by(|a, b| cost(*a).total_cmp(&cost(*b))).unwrap_or(0.03);
-            let start = ([a, b, delay_s], f64::INFINITY);
-            [24.0, 6.0, 1.0, 1.0].into_iter().fold(start, |(x, _), widening| {
+        let search = |start: [f64; 3]| {
+            [24.0, 6.0, 1.0, 1.0].into_iter().fold((start, f64::INFINITY), |(x, _), widening| {
                 minimise(x, |x| case.cost(law_of(x), x[2], widening))
             })
         };
+        // A jump obeyed much later than supposed shares nothing with the one supposed; a joint that creeps
+        // looks like a late one.
+        let late = |[a, b, supposed_s]: [f64; 3]| {
+            let cost = |delay_s: f64| case.cost(law_of(&[a, b, delay_s]), delay_s, 24.0);
+            let steps = 0..=MOST_DELAY.0 / DELAY_STEP.0;
+            let delays = steps.map(|i| supposed_s + DELAY_STEP.seconds() * i as f64);
+            let best_s = delays.min_by(|a, b| cost(*a).total_cmp(&cost(*b)));
+            best_s.filter(|&best_s| best_s > supposed_s).map(|best_s| [a, b, best_s])
+        };
         starts
-            .map(search)
             .into_iter()
+            .flat_map(|start| std::iter::once(start).chain(late(start)))
+            .map(search)
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .map(|(x, cost)| (law_of(&x), x[2], cost))
     };
@@ -291,7 +295,6 @@ mod tests {
     use super::super::track::AxisReading;
     use super::*;
     use proptest::prelude::*;
-    use proptest::test_runner::RngSeed;
 
     fn s(seconds: f64) -> Stamp {
         Stamp::from_seconds(seconds)
@@ -335,14 +338,8 @@ mod tests {
         track
     }
 
-    /// The same cases each time: a few in a hundred, strongly damped and late ones above all, are taken for
-    /// a hinge within 1 mrad.
-    fn fixed_cases() -> ProptestConfig {
-        ProptestConfig { cases: 12, rng_seed: RngSeed::Fixed(7), ..ProptestConfig::default() }
-    }
-
     proptest! {
-        #![proptest_config(fixed_cases())]
+        #![proptest_config(ProptestConfig::with_cases(12))]
         #[test]
         fn a_hinge_is_found_again(
             speed in 0.08..0.6f64, gap_deg in 1.0..3.0f64, delay in 0.0..0.15f64, lag in 0.0..0.2f64
@@ -364,6 +361,16 @@ mod tests {
             let (commands, readings) = observed(law, delay, 0.0);
             let fit = identify(0.0, None, &commands, &readings, None, Span::ZERO).unwrap();
             prop_assert!(fit.rms_rad < 4e-4, "{fit:?} for {law:?} {delay}");
+        }
+    }
+
+    #[test]
+    fn a_spring_that_creeps_is_no_late_hinge() {
+        for (frequency_rad_s, damping, delay) in [(4.037, 1.471, 0.057), (4.27, 1.48, 0.006)] {
+            let (commands, readings) =
+                observed(ServoLaw::Spring { frequency_rad_s, damping }, delay, 0.0);
+            let fit = identify(0.0, None, &commands, &readings, None, Span::ZERO).unwrap();
+            assert!(fit.rms_rad < 4e-4, "{fit:?} for {frequency_rad_s} {damping}");
         }
     }
 
