@@ -148,9 +148,9 @@ pub(super) const WALLS_M2: f64 = 4.0;
 const FINE_RING_M: f64 = 0.1;
 
 /// The sweep that shows most per second, the `between_s` seconds counted that pass anyway from one sweep
-/// to the next: what is left out here has to be driven to once more. It is chosen among the whole fan, fans of interest, a coarse fan, and the
-/// whole height in coarse or in fine rows; every one of them with the fine rows that `interest`
-/// requires. `None` for a laser that cannot tilt.
+/// to the next: what is left out here has to be driven to once more. It is chosen among the whole fan,
+/// fans of interest, a coarse fan, and the whole height in coarse or in fine rows; every one of them with
+/// the fine rows that `interest` requires. `None` for a laser that cannot tilt.
 pub(super) fn choose(
     view: &GroundView<'_>,
     config: &FanConfig,

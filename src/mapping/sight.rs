@@ -157,8 +157,7 @@ impl<'a> Against<'a> {
         denied: bool,
         gap: impl FnOnce(usize) -> Matrix3<f64>,
     ) -> Self {
-        let parallel =
-            wall.normal.dot(&(world_from_plane.rotation * Vector3::z())) > PARALLEL_COSINE;
+        let parallel = wall.is_parallel(&(world_from_plane.rotation * Vector3::z()));
         let centre = wall.plane_from_world * Point3::from(world_from_plane.translation.vector);
         let gap = wall.plane.filter(|_| parallel).map(gap);
         Self { wall, parallel, denied, centre, gap }
@@ -168,10 +167,12 @@ impl<'a> Against<'a> {
     /// surfaces as well as the pair is known.
     fn refutes(&self, point: &Point3<f64>, tight: bool) -> bool {
         let target = self.wall.plane_from_world * point;
-        let margin_m = match self.denied {
-            true => 0.0,
-            false if tight => self.gap_margin_m(point, &target),
-            false => self.wall.ray_margin_m(point),
+        let margin_m = if self.denied {
+            0.0
+        } else if tight {
+            self.gap_margin_m(point, &target)
+        } else {
+            self.wall.ray_margin_m(point)
         };
         self.wall.refutes(&target, self.parallel, margin_m)
     }
@@ -208,9 +209,8 @@ fn footing(
         let nearest = heights.min_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
         let Some((height_m, wall)) = nearest else {
             let hidden = walls.iter().any(|wall| {
-                let parallel = wall.normal.dot(&up) > PARALLEL_COSINE;
                 let target = wall.plane_from_world * point;
-                wall.refutes(&target, parallel, wall.ray_margin_m(&point))
+                wall.refutes(&target, wall.is_parallel(&up), wall.ray_margin_m(&point))
             });
             return if hidden { OFF_THE_FLOOR.ln() } else { 0.0 };
         };
@@ -258,6 +258,11 @@ impl<'a> Wall<'a> {
         })
     }
 
+    /// Whether a surface with that normal, in the world, is parallel and faces the same way.
+    fn is_parallel(&self, normal: &Vector3<f64>) -> bool {
+        self.normal.dot(normal) > PARALLEL_COSINE
+    }
+
     /// Whether a point, in the landmark's frame, of a surface that is parallel to it or not cannot be there:
     /// it is more than the margin behind the landmark, seen from the eye, or before it.
     fn refutes(&self, target: &Point3<f64>, parallel: bool, margin_m: f64) -> bool {
@@ -280,7 +285,7 @@ impl<'a> Wall<'a> {
     /// landmark itself; below it, the floor is where the sensor would see the point through it.
     fn height_of(&self, point: &Point3<f64>, up: &Vector3<f64>) -> Option<(f64, &Self)> {
         let target = self.plane_from_world * point;
-        if target.z.abs() > DOUBLED_M || self.normal.dot(up) < PARALLEL_COSINE {
+        if target.z.abs() > DOUBLED_M || !self.is_parallel(up) {
             return None;
         }
         let ray = target - self.eye;

@@ -9,6 +9,7 @@ use crate::robot::{HeadPose, HeadReading, InsReading, OdometryReading};
 use crate::scan::{LaserLine, RangeImage};
 use crate::time::{Span, Stamp};
 use nalgebra::Isometry3;
+use std::borrow::Cow;
 
 impl Running {
     /// Takes in a message. Gives what it means for the mission.
@@ -119,7 +120,7 @@ impl Running {
     }
 
     fn line(&mut self, line: &LaserLine, desk: &mut Desk<'_>) {
-        let line = &self.without_phantom(line);
+        let line = &*self.without_phantom(line);
         let Some(acquisition) = &self.acquisition else {
             return self.planar_line(line);
         };
@@ -149,13 +150,14 @@ impl Running {
     }
 
     /// `line` without the beams that hit nothing, where these carry a range.
-    fn without_phantom(&mut self, line: &LaserLine) -> LaserLine {
+    fn without_phantom<'a>(&mut self, line: &'a LaserLine) -> Cow<'a, LaserLine> {
         if self.rig.dialect != Dialect::Udk {
-            return line.clone();
+            return Cow::Borrowed(line);
         }
         let head = self.acquisition.as_ref().and_then(|found| found.pose_of_line(line));
         let robot_from_sensor = self.rig.robot_from_sensor(head.unwrap_or_default());
-        self.phantom.without(line, &(self.belief.world_from_robot() * robot_from_sensor))
+        let world_from_sensor = self.belief.world_from_robot() * robot_from_sensor;
+        Cow::Owned(self.phantom.without(line, &world_from_sensor))
     }
 
     /// The same of a finished scan.

@@ -42,7 +42,8 @@ const LEVEL: f64 = 0.03;
 /// Neighbours on one surface differ by less than this share of their range.
 const SAME_SURFACE: f64 = 0.05;
 /// Beams like their neighbours in all rows of a scan that make such a range, and how many times as many as
-/// of any range about it they are: a surface seen square across a single line makes two and a half times as many.
+/// of any range about it they are: a surface seen square across a single line makes two and a half times
+/// as many.
 const FEWEST: usize = 8;
 const STANDS_OUT: usize = 4;
 

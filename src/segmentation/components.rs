@@ -113,8 +113,7 @@ impl Components {
             if transposed {
                 beams.add(run.start / width, run.len());
             } else {
-                beams.many |= run.len() > COUNTED_LINES;
-                run.take(COUNTED_LINES).for_each(|cell| beams.add(cell % width, 1));
+                run.for_each(|cell| beams.add(cell % width, 1));
             }
             if beams.many {
                 break;

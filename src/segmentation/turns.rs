@@ -16,8 +16,8 @@ impl Field {
     /// itself shows, and those of the grid's rows as far as they are known.
     pub(super) fn allow_for_turns(&mut self) {
         let shown = self.errors.angle_rad as f32;
+        let is_known = self.knows_row_errors();
         let known = std::mem::take(&mut self.row_sigmas_rad);
-        let is_known = known.iter().any(|&sigma| sigma > 0.0);
         if shown > 0.0 || (is_known && !self.transposed) {
             let of_step = |step: usize| {
                 let known = if self.transposed { None } else { known.get(step) };
