@@ -135,7 +135,7 @@ const APART_UP_M: f64 = 0.03;
 /// takes 3/2 of it; the rest says that a pair fits by chance once in twenty.
 const MOST_PER_PAIR: f64 = 4.5;
 /// Logarithm of how much more often a surface in the midst of a map is one of it than one of its own.
-const LOG_RECOGNISED: f64 = 1.5;
+const LOG_RECOGNISED: f64 = 2.0;
 /// Most assignments that are handed back.
 const MOST_ASSIGNMENTS: usize = 4;
 /// Difference of the distances of two landmarks below which neither is preferred.

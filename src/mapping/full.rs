@@ -32,7 +32,7 @@ const FEW_PAIRS: usize = 3;
 const LOG_SELDOM: f64 = -7.0;
 /// Logarithm of how seldom a scan in the midst of a map shows nothing of it. Without it the pairs of a
 /// scan that shows three planes would be left out as often as noise makes all of them miss widely.
-const LOG_UNRECOGNISED: f64 = -8.0;
+const LOG_UNRECOGNISED: f64 = -5.0;
 /// What one explanation must be behind by while nothing proves it: three scans' worth of a pair that
 /// fits by chance.
 const UNPROVEN: f64 = 9.0;
