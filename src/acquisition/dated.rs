@@ -77,7 +77,7 @@ pub(super) fn dated_rows(
         kept = Some(estimate.angle_rad);
         let supported = estimate.support.is_some_and(|span| span <= SUPPORT);
         let still = if supported {
-            READING_SIGMA_RAD
+            READING_SIGMA_RAD.hypot(estimate.miss_rad)
         } else {
             let moved = control
                 .tilt

@@ -24,6 +24,9 @@ pub struct AxisEstimate {
     pub rate_rad_s: f64,
     /// Time to the nearest reading that supports it; `None` if the model alone gave it.
     pub support: Option<Span>,
+    /// By how much the law misses the next reading, in radians, as far as that matters here: most half
+    /// way between two readings, nothing at them.
+    pub miss_rad: f64,
 }
 
 /// What the readings say about a joint that ought to rest at its target.
@@ -55,6 +58,16 @@ pub struct AxisTrack {
 const KEPT: Span = Span::from_millis(300_000);
 /// Share of the way between two readings by which the law may miss the second.
 const MISSED_SHARE: f64 = 0.3;
+/// What a reading errs by besides the steps it is printed in.
+const READING_SIGMA_RAD: f64 = 1e-4;
+/// Standard deviation of the time at which a command is obeyed, and most of it: frames of a server.
+const OBEYED_SIGMA_S: f64 = 0.01;
+const MOST_SHIFT_S: f64 = 0.04;
+/// Steps of the search for that time, and over what its slope is told.
+const DATING_STEPS: usize = 3;
+const SLOPE_STEP_S: f64 = 1e-3;
+/// A shift that leaves more of a miss than this does not explain it.
+const EXPLAINED: f64 = 0.5;
 /// Folding is done in batches, so that a reading costs no shifting of the whole list.
 const FOLD_AT: usize = 4_096;
 
@@ -107,6 +120,9 @@ impl AxisTrack {
     pub fn read(&mut self, reading: AxisReading) {
         let at = self.readings.partition_point(|r| r.stamp <= reading.stamp);
         self.readings.insert(at, reading);
+        if at + 1 == self.readings.len() {
+            self.date_commands();
+        }
         if self.readings.len() > FOLD_AT {
             let before = reading.stamp - KEPT;
             self.readings.retain(|r| r.stamp >= before);
@@ -164,16 +180,17 @@ impl AxisTrack {
             .flatten()
             .map(|r| if r.stamp > stamp { r.stamp - stamp } else { stamp - r.stamp })
             .min();
-        let state = match (before, next) {
+        let (state, miss_rad) = match (before, next) {
             (Some(a), Some(b)) => self.between(a, b, stamp),
-            (Some(a), None) => self.run_on(a, stamp)?,
-            (None, Some(b)) if self.law.is_none() => ServoState::at_rest(b.angle_rad),
+            (Some(a), None) => (self.run_on(a, stamp)?, 0.0),
+            (None, Some(b)) if self.law.is_none() => (ServoState::at_rest(b.angle_rad), 0.0),
             (None, _) => {
                 self.law?;
-                self.modelled(stamp)
+                (self.modelled(stamp), 0.0)
             }
         };
-        Some(AxisEstimate { angle_rad: state.angle_rad, rate_rad_s: state.rate_rad_s, support })
+        let ServoState { angle_rad, rate_rad_s } = state;
+        Some(AxisEstimate { angle_rad, rate_rad_s, support, miss_rad })
     }
 
     /// How far the joint can still be from `target_rad` at `stamp`, in radians: the estimate's
@@ -284,28 +301,63 @@ impl AxisTrack {
         }
     }
 
-    fn between(&self, a: &AxisReading, b: &AxisReading, stamp: Stamp) -> ServoState {
-        let share = (stamp - a.stamp).seconds() / (b.stamp - a.stamp).seconds().max(1e-9);
+    /// The state between two readings, and what of the law's miss of the second matters there.
+    fn between(&self, a: &AxisReading, b: &AxisReading, stamp: Stamp) -> (ServoState, f64) {
+        let whole = (b.stamp - a.stamp).seconds().max(1e-9);
+        let share = (stamp - a.stamp).seconds() / whole;
+        let way = b.angle_rad - a.angle_rad;
+        let straight = ServoState { angle_rad: a.angle_rad + share * way, rate_rad_s: way / whole };
         if self.law.is_none() {
-            let slope = (b.angle_rad - a.angle_rad) / (b.stamp - a.stamp).seconds().max(1e-9);
-            let angle_rad = a.angle_rad + share * (b.angle_rad - a.angle_rad);
-            return ServoState { angle_rad, rate_rad_s: slope };
+            return (straight, 0.0);
         }
         let start = self.state_at_reading(a);
         let miss = b.angle_rad - self.propagate(start, a.stamp, b.stamp).angle_rad;
+        let matters = 4.0 * share * (1.0 - share) * miss;
         // A law that misses by much of the way was given commands at the wrong times: its curve is
         // worth less than the straight line.
-        let way = (b.angle_rad - a.angle_rad).abs();
-        if miss.abs() > (MISSED_SHARE * way).max(a.half_width_rad + b.half_width_rad) {
-            let rate_rad_s = (b.angle_rad - a.angle_rad) / (b.stamp - a.stamp).seconds().max(1e-9);
-            let angle_rad = a.angle_rad + share * (b.angle_rad - a.angle_rad);
-            return ServoState { angle_rad, rate_rad_s };
+        if miss.abs() > (MISSED_SHARE * way.abs()).max(a.half_width_rad + b.half_width_rad) {
+            return (straight, matters);
         }
         let here = self.propagate(start, a.stamp, stamp);
-        let rate_of_miss = miss / (b.stamp - a.stamp).seconds().max(1e-9);
-        ServoState {
-            angle_rad: here.angle_rad + share * miss,
-            rate_rad_s: here.rate_rad_s + rate_of_miss,
+        let angle_rad = here.angle_rad + share * miss;
+        (ServoState { angle_rad, rate_rad_s: here.rate_rad_s + miss / whole }, matters)
+    }
+
+    /// Takes the commands between the two newest readings to have been obeyed when the law, run on from
+    /// the first, meets the second. Servers obey at the next of their frames, which nothing but the
+    /// joint's way tells; a spring that was pushed 10 ms sooner than thought is elsewhere by much more
+    /// than a reading errs.
+    fn date_commands(&mut self) {
+        let [.., a, b] = self.readings[..] else { return };
+        let first = self.commands.partition_point(|&(stamp, _)| stamp <= a.stamp);
+        let end = self.commands.partition_point(|&(stamp, _)| stamp < b.stamp);
+        if self.law.is_none() || first >= end {
+            return;
+        }
+        let start = self.state_at_reading(&a);
+        let told: Vec<Stamp> = self.commands[first..end].iter().map(|&(stamp, _)| stamp).collect();
+        let earliest = first.checked_sub(1).map(|before| self.commands[before].0);
+        let latest = self.commands.get(end).map(|&(stamp, _)| stamp);
+        let mut miss_at = |shift_s: f64| {
+            for (command, &told) in self.commands[first..end].iter_mut().zip(&told) {
+                let stamp = told + Span::from_seconds(shift_s);
+                let stamp = earliest.map_or(stamp, |earliest| stamp.max(earliest));
+                command.0 = latest.map_or(stamp, |latest| stamp.min(latest));
+            }
+            b.angle_rad - self.propagate(start, a.stamp, b.stamp).angle_rad
+        };
+        let unshifted = miss_at(0.0);
+        let (mut shift_s, mut miss) = (0.0, unshifted);
+        let sigma_rad = READING_SIGMA_RAD + a.half_width_rad + b.half_width_rad;
+        for _ in 0..DATING_STEPS {
+            let slope = (miss - miss_at(shift_s + SLOPE_STEP_S)) / SLOPE_STEP_S;
+            // The most likely shift, by the reading and by what commands are early or late as a rule.
+            let weight = slope / (slope * slope + (sigma_rad / OBEYED_SIGMA_S).powi(2));
+            shift_s = (weight * (miss + slope * shift_s)).clamp(-MOST_SHIFT_S, MOST_SHIFT_S);
+            miss = miss_at(shift_s);
+        }
+        if miss.abs() > EXPLAINED * unshifted.abs() {
+            miss_at(0.0);
         }
     }
 
@@ -395,6 +447,39 @@ mod tests {
         let rests = |until, count| track.rests(0.1, 1e-3, (s(0.0), s(until)), (count, Span::ZERO));
         assert!(rests(2.0, 1) && !rests(2.0, 2));
         assert!(!rests(0.5, 1), "no reading so early");
+    }
+
+    #[test]
+    fn commands_are_dated_by_what_the_joint_did() {
+        let law = ServoLaw::Spring { frequency_rad_s: 16.5, damping: 0.6 };
+        let mut truth = AxisTrack::new(Some(law), None, 0.0);
+        let mut told = truth.clone();
+        let mut worst = [0.0_f64; 2];
+        let mut blind = told.clone();
+        for k in 0..40 {
+            let t = 0.2 * f64::from(k);
+            // Obeyed up to 15 ms before or after it is thought to be, sweeping up and down.
+            let jitter = 0.015 * f64::from((k * 7) % 11 - 5) / 5.0;
+            let demand = Demand::Angle(0.3 * (0.4 * f64::from(k)).sin());
+            truth.demand(s(t + 0.03 + jitter), demand);
+            told.demand(s(t + 0.03), demand);
+            blind.demand(s(t + 0.03), demand);
+            for read_at in [t + 0.06, t + 0.16] {
+                told.read(reading(read_at, truth.estimate(s(read_at)).unwrap().angle_rad));
+            }
+        }
+        for k in 3..79 {
+            let at = s(0.1 * f64::from(k) + 0.01);
+            let angle_rad = truth.estimate(at).unwrap().angle_rad;
+            for (worst, track) in worst.iter_mut().zip([&told, &blind]) {
+                let estimate = track.estimate(at).unwrap();
+                *worst = worst.max((estimate.angle_rad - angle_rad).abs());
+            }
+            let estimate = told.estimate(at).unwrap();
+            let sigma = 2e-4_f64.hypot(estimate.miss_rad);
+            assert!((estimate.angle_rad - angle_rad).abs() < 3.0 * sigma, "{k}: {estimate:?}");
+        }
+        assert!(worst[0] < 6e-4 && worst[1] > 8e-3, "{worst:?}");
     }
 
     proptest! {

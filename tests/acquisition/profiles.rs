@@ -92,3 +92,26 @@ fn the_model_profile_is_near_the_bound_and_true_on_every_server() {
         assert!(median <= 0.05 && p99 <= 0.15, "{name}: {median:.3}°, {p99:.3}°");
     }
 }
+
+#[test]
+fn rows_taken_fast_are_as_true_as_they_are_told_to_be() {
+    for (name, dialect, readings) in KINDS {
+        let mut bench = Bench::new(&Setting::new(dialect, readings), AcquisitionConfig::default());
+        bench.calibrate();
+        let view = bench.rig.ground_view().unwrap();
+        let fan = Profile::ground_fan(&view, &bench.acquisition.config().fan);
+        let (mut squares, mut rows) = (0.0, 0);
+        for _ in 0..4 {
+            // The server's frames lie elsewhere under each sweep.
+            bench.run(0.37);
+            let scan = bench.take(SweepRequest::flowing(fan.clone()));
+            for row in scan.image.rows() {
+                let Some(cast) = bench.cast_of(row) else { continue };
+                squares += ((row.tilt_rad - cast.tilt_rad) / row.tilt_sigma_rad).powi(2);
+                rows += 1;
+            }
+        }
+        let mean_square = squares / f64::from(rows);
+        assert!(rows > 60 && mean_square < 2.0, "{name}: {mean_square:.2} of 1 over {rows} rows");
+    }
+}
