@@ -28,6 +28,7 @@ mod odometry_trust;
 pub mod perturbation;
 pub mod planar;
 mod report;
+mod rounding_errors;
 mod row_errors;
 mod scan_errors;
 mod shift;

@@ -1,4 +1,5 @@
 use super::mask::{MaskBuilder, PlaneMask};
+use super::rounding_errors::RoundingErrors;
 use super::row_errors::RowErrors;
 use crate::geometry::{Plane, polygon_area};
 use crate::scan::PointGrid;
@@ -101,6 +102,7 @@ pub fn observations(
     // Local coordinates of the row above and of this one; neighbours of one label in both rows and
     // columns span a piece that was seen as a whole.
     let mut above: Vec<Option<(usize, Point2<f64>)>> = vec![None; columns];
+    let mut rounding_errors = grid.rounding().map(|known| RoundingErrors::new(known, columns));
     for row in 0..rows {
         let mut here = vec![None; columns];
         for column in 0..columns {
@@ -110,8 +112,12 @@ pub fn observations(
             let Some(point) = grid.point(row, column) else { continue };
             let local = painter.place(&point);
             painter.builder.insert(&local);
-            if let Some(&sigma_rad) = sigmas_rad.get(row) {
-                painter.rows.add(row, f64::from(sigma_rad), &point, &local);
+            if rounding_errors.is_some() || !sigmas_rad.is_empty() {
+                let sigma_rad = sigmas_rad.get(row).map_or(0.0, |&sigma_rad| f64::from(sigma_rad));
+                let pull = painter.rows.add(row, sigma_rad, &point, &local);
+                if let Some(rounding_errors) = &mut rounding_errors {
+                    rounding_errors.add((row, column), slot, pull * painter.slope(&point));
+                }
             }
             here[column] = Some((slot, local));
             if column == 0 {
@@ -128,15 +134,14 @@ pub fn observations(
         }
         above = here;
     }
-    found
-        .into_iter()
-        .flatten()
-        .map(|(observation, painter)| Observation {
-            covariance: observation.covariance + painter.rows.covariance(),
-            mask: painter.builder.finish(),
-            ..observation
-        })
-        .collect()
+    let of_rounding = rounding_errors.map(|errors| errors.of_right_sides(found.len()));
+    let with_errors = |(slot, found): (usize, Option<(Observation, Painter)>)| {
+        let (observation, painter) = found?;
+        let of_rounding = of_rounding.as_ref().map_or(Matrix3::zeros(), |of| of[slot]);
+        let covariance = observation.covariance + painter.rows.covariance(&of_rounding);
+        Some(Observation { covariance, mask: painter.builder.finish(), ..observation })
+    };
+    found.into_iter().enumerate().filter_map(with_errors).collect()
 }
 
 /// Carries points into a patch's frame and marks the cells they hit.
@@ -158,6 +163,12 @@ impl Painter {
             origin: patch.grid_from_plane.translation.vector,
             builder: MaskBuilder::over(&patch.hull)?,
         })
+    }
+
+    /// How far a point moves across the plane for a unit of its range.
+    fn slope(&self, point: &Point3<f64>) -> f64 {
+        let [x, y] = self.axes;
+        x.cross(&y).dot(&point.coords) / point.coords.norm()
     }
 
     fn place(&self, point: &Point3<f64>) -> Point2<f64> {

@@ -37,14 +37,15 @@ impl RowErrors {
         }
     }
 
-    /// Adds a point of a row, in the grid's frame and in the patch's; row after row.
+    /// Adds a point of a row, in the grid's frame and in the patch's; row after row. Returns what a unit
+    /// of its displacement across the plane adds to the right side of the normal equations.
     pub(super) fn add(
         &mut self,
         row: usize,
         sigma_rad: f64,
         point: &Point3<f64>,
         local: &Point2<f64>,
-    ) {
+    ) -> Vector3<f64> {
         if self.row.is_none_or(|(known, _)| known != row) {
             self.end_row();
             self.row = Some((row, sigma_rad));
@@ -57,6 +58,7 @@ impl RowErrors {
         let unknowns = Vector3::new(1.0, -local.x, local.y);
         self.information += unknowns * unknowns.transpose() * weight;
         self.pull += unknowns * (weight * shift_m);
+        unknowns * weight
     }
 
     fn end_row(&mut self) {
@@ -66,15 +68,15 @@ impl RowErrors {
         self.pull = Vector3::zeros();
     }
 
-    /// Covariance that the rows' errors give the least-squares plane: offset, rotation about y, rotation
-    /// about x.
-    pub(super) fn covariance(mut self) -> Matrix3<f64> {
+    /// Covariance that the rows' errors, and `others` of the right side, give the least-squares plane:
+    /// offset, rotation about y, rotation about x.
+    pub(super) fn covariance(mut self, others: &Matrix3<f64>) -> Matrix3<f64> {
         self.end_row();
         let prior = Matrix3::from_diagonal(&Vector3::new(0.0, FREE, FREE));
         let Some(inverse) = (self.information + prior).try_inverse() else {
             return Matrix3::zeros();
         };
-        let covariance = inverse * self.right * inverse;
+        let covariance = inverse * (self.right + others) * inverse;
         (covariance + covariance.transpose()) * 0.5
     }
 }
@@ -139,7 +141,7 @@ mod tests {
                 // Without the prior, which unit noise gives weight.
                 let mut errors = errors;
                 errors.information -= Matrix3::from_diagonal(&Vector3::new(0.0, FREE, FREE));
-                errors.covariance()
+                errors.covariance(&Matrix3::zeros())
             };
             let mut found = Matrix3::zeros();
             const RUNS: usize = 1500;
@@ -163,6 +165,6 @@ mod tests {
             let point = floor_point(0.1 + 0.05 * row as f64, 0.2, 0.0);
             errors.add(row, 0.0, &point, &Point2::new(point.x, point.y));
         }
-        assert_eq!(errors.covariance(), Matrix3::zeros());
+        assert_eq!(errors.covariance(&Matrix3::zeros()), Matrix3::zeros());
     }
 }

@@ -1,3 +1,4 @@
+use super::Rounding;
 use nalgebra::Point3;
 
 /// An organised cloud: `rows × columns` points in one frame whose origin is the viewpoint.
@@ -11,6 +12,7 @@ pub struct PointGrid {
     points: Vec<[f32; 3]>,
     /// Empty where nothing is known.
     row_sigmas_rad: Vec<f32>,
+    rounding: Option<Rounding>,
 }
 
 impl PointGrid {
@@ -21,7 +23,7 @@ impl PointGrid {
     /// When the number of points is not `rows * columns`.
     pub fn new(rows: usize, columns: usize, points: Vec<[f32; 3]>) -> Self {
         assert_eq!(points.len(), rows * columns, "a grid has rows * columns points");
-        Self { rows, columns, points, row_sigmas_rad: Vec::new() }
+        Self { rows, columns, points, row_sigmas_rad: Vec::new(), rounding: None }
     }
 
     /// The grid with the standard deviation of each row's tilt about the y axis in radians, an error that
@@ -34,6 +36,17 @@ impl PointGrid {
     pub fn with_row_sigmas(self, row_sigmas_rad: Vec<f32>) -> Self {
         assert_eq!(row_sigmas_rad.len(), self.rows, "a row has one tilt");
         Self { row_sigmas_rad, ..self }
+    }
+
+    /// The grid with what its ranges are cut to, told from them cell by cell.
+    ///
+    /// # Panics
+    ///
+    /// When there is not one for each cell.
+    #[must_use]
+    pub fn with_ranges(self, ranges_m: &[f32]) -> Self {
+        assert_eq!(ranges_m.len(), self.points.len(), "a cell has one range");
+        Self { rounding: Rounding::of_ranges(ranges_m), ..self }
     }
 
     /// Number of rows.
@@ -56,6 +69,11 @@ impl PointGrid {
         &self.row_sigmas_rad
     }
 
+    /// What the ranges are cut to, as far as that is known.
+    pub fn rounding(&self) -> Option<&Rounding> {
+        self.rounding.as_ref()
+    }
+
     /// The point of a cell, if it has one.
     pub fn point(&self, row: usize, column: usize) -> Option<Point3<f64>> {
         let [x, y, z] = self.points[row * self.columns + column];
@@ -74,6 +92,8 @@ impl PointGrid {
             .flat_map(|row| row[start..end].iter().copied())
             .collect();
         let row_sigmas_rad = self.row_sigmas_rad.clone();
-        Self { row_sigmas_rad, ..Self::new(self.rows, end - start, points) }
+        let rounding =
+            self.rounding.as_ref().map(|known| known.columns_only(start..end, self.columns));
+        Self { row_sigmas_rad, rounding, ..Self::new(self.rows, end - start, points) }
     }
 }

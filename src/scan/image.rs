@@ -110,7 +110,10 @@ impl RangeImage {
         order.sort_by(|&a, &b| self.rows[a].tilt_rad.total_cmp(&self.rows[b].tilt_rad));
         let sigmas = order.iter().map(|&row| self.rows[row].tilt_sigma_rad as f32).collect();
         let mut points = Vec::with_capacity(order.len() * columns.len());
+        let mut ranges_m = Vec::with_capacity(points.capacity());
         for row in order {
+            let first = row * self.columns();
+            ranges_m.extend_from_slice(&self.ranges_m[first..][columns.clone()]);
             for column in columns.clone() {
                 points.push(
                     self.point(row, column)
@@ -118,6 +121,8 @@ impl RangeImage {
                 );
             }
         }
-        PointGrid::new(self.rows.len(), columns.len(), points).with_row_sigmas(sigmas)
+        PointGrid::new(self.rows.len(), columns.len(), points)
+            .with_row_sigmas(sigmas)
+            .with_ranges(&ranges_m)
     }
 }

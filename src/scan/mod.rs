@@ -9,7 +9,9 @@ mod grid;
 mod image;
 mod line;
 mod points;
+mod rounding;
 
 pub use grid::PointGrid;
 pub use image::{ImageRow, RangeImage};
 pub use line::{LaserLine, Return};
+pub use rounding::Rounding;

@@ -405,7 +405,7 @@ impl Assembler {
 
     fn write_surfaces(&mut self, field: &Field, result: &mut Segmentation) {
         // Readings that err alike tell less than their number says.
-        let patch = field.errors.patch;
+        let inflation = field.errors.inflation;
         for (index, region) in self.fitted.drain(..).enumerate() {
             let FittedRegion { component, shape, centroid, .. } = region;
             let cells = self.components.cells(component);
@@ -427,19 +427,19 @@ impl Assembler {
                         self.spare_hulls.push(hull);
                         (Shape::Other, square_m2)
                     } else {
-                        let covariance = covariance * patch;
+                        let covariance = covariance * inflation;
                         let noise_m = noise_across(field, &grid_from_plane);
                         let plane = PlanePatch { grid_from_plane, covariance, hull, noise_m };
                         (Shape::Plane(plane), square_m2)
                     }
                 }
                 Fitted::Sphere { centre, radius_m, covariance } => {
-                    let covariance = covariance * patch;
+                    let covariance = covariance * inflation;
                     let square = distances(&Model::Sphere { centre: centre.coords, radius_m });
                     (Shape::Sphere(Sphere { centre, radius_m, covariance }), square)
                 }
                 Fitted::Cylinder { axis_point, axis, radius_m, length_m, covariance } => {
-                    let covariance = covariance * patch;
+                    let covariance = covariance * inflation;
                     let (foot, direction) = (axis_point.coords, axis.into_inner());
                     let square = distances(&Model::Cylinder { foot, axis: direction, radius_m });
                     let shape = Cylinder { axis_point, axis, radius_m, length_m, covariance };

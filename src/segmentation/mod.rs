@@ -147,6 +147,7 @@ impl Segmenter {
             Some(sigma_m) => ReadingErrors::independent(RangeNoise::uniform(sigma_m)),
             None => self.noise_estimator.estimate(&self.field),
         };
+        let errors = self.with_rounding(errors, grid);
         self.field.set_errors(errors);
         let found = match self.config.method {
             Method::Paper => self.paper.run(&self.field, &self.config, &mut self.labels, observe),
@@ -161,6 +162,15 @@ impl Segmenter {
             observe,
         );
         &self.result
+    }
+
+    /// What readings err by if their ranges are cut to a grid.
+    fn with_rounding(&self, errors: ReadingErrors, grid: &PointGrid) -> ReadingErrors {
+        let Some(rounding) = grid.rounding() else { return errors };
+        let [down, right, patch] = rounding.runs(grid.columns());
+        let run = if self.field.transposed { right } else { down };
+        let [nearest, _] = self.field.extent();
+        errors.cut(rounding, (run, patch), f64::from(nearest))
     }
 
     /// The last result, empty before the first scan.

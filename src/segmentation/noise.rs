@@ -1,5 +1,6 @@
 //! What the readings of a scan err by.
 
+use crate::scan::Rounding;
 use serde::{Deserialize, Serialize};
 
 /// Most that common errors add to a sum of squares, per reading: two standard deviations.
@@ -62,6 +63,9 @@ pub struct ReadingErrors {
     pub run: f64,
     /// The same over an area, 1 or more.
     pub patch: f64,
+    /// Factor of the fits' covariances, 1 or more: `patch`, but for what cut ranges have in common, which
+    /// whoever has the readings tells better patch by patch.
+    pub inflation: f64,
 }
 
 impl Default for ReadingErrors {
@@ -73,7 +77,20 @@ impl Default for ReadingErrors {
 impl ReadingErrors {
     /// Errors of which each reading has its own.
     pub fn independent(noise: RangeNoise) -> Self {
-        Self { noise, angle_rad: 0.0, common: 0.0, run: 1.0, patch: 1.0 }
+        Self { noise, angle_rad: 0.0, common: 0.0, run: 1.0, patch: 1.0, inflation: 1.0 }
+    }
+
+    /// The errors where ranges are cut to a grid, of which `run` readings along and `patch` over an area
+    /// agree on average: these agree better than any of them is known. The share that they have in common
+    /// is told at `range_m`.
+    #[must_use]
+    pub fn cut(mut self, rounding: &Rounding, (run, patch): (f64, f64), range_m: f64) -> Self {
+        let variance = rounding.sigma_m().powi(2);
+        self.noise.constant = self.noise.constant.max(variance);
+        self.common = self.common.max(variance / self.noise.variance(range_m));
+        self.run = self.run.max(run);
+        self.patch = self.patch.max(patch);
+        self
     }
 
     /// Variance of the mean of `n` neighbouring readings, in units of that of one.

@@ -241,12 +241,12 @@ impl NoiseEstimator {
         if let Some(angle_rad) = angle {
             // Along, the errors of the angle are told apart; what shows across is the range's.
             let noise = self.model([&near, &across]);
-            return ReadingErrors { noise, angle_rad, common, run, patch: run };
+            return ReadingErrors { noise, angle_rad, common, run, patch: run, inflation: run };
         }
         let (across, width) = self.follow(field, span, [0, 1], across, &across);
         let noise = self.model([&near, &along, &across]);
         let patch = 1.0 + common * (length * width - 1.0);
-        ReadingErrors { noise, angle_rad: 0.0, common, run, patch }
+        ReadingErrors { noise, angle_rad: 0.0, common, run, patch, inflation: patch }
     }
 
     /// The noise that the first classes tell, or the others where these are much larger.
