@@ -10,7 +10,7 @@ use super::leg::{BentLeg, Leg};
 use super::lines::PendingLine;
 use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
 use crate::mapping::{
-    Mapper, MapperConfig, ScanErrors, ScanObservations, UpdateReport, curved_observations,
+    Mapper, MapperConfig, Mode, ScanErrors, ScanObservations, UpdateReport, curved_observations,
     observations,
 };
 use crate::scan::{RangeImage, Return};
@@ -324,13 +324,28 @@ impl Belief {
             contacts: self.live.shape().contacts(),
         };
         if let Some(attitude) = self.motion.last_attitude() {
-            let sigma = self.config.attitude_sigma_rad;
+            let step_share = self.mapper.config().odometry.inertial.step_share;
+            let drifted = self.motion.level_sigma_rad(step_share);
+            let sigma = self.config.attitude_sigma_rad.hypot(drifted);
             self.mapper.attitude(attitude.roll_rad, attitude.pitch_rad, sigma);
         }
         let update = self.mapper.observe(&scan);
+        self.settle_attitude(&update.world_from_robot);
         self.pending.clear();
         let redrawn = self.settle(&update, image);
         ScanFindings { planes, spheres, cylinders, update, redrawn }
+    }
+
+    /// Tells the inertial unit's error from the pose that a sweep has given.
+    fn settle_attitude(&mut self, world_from_robot: &Isometry3<f64>) {
+        // The paper's filter takes its map for true and knows no honest deviation.
+        if self.mapper.config().mode == Mode::Mip {
+            return;
+        }
+        let (roll_rad, pitch_rad, heading_rad) = world_from_robot.rotation.euler_angles();
+        let covariance = self.mapper.covariance();
+        let sigma_rad = covariance[(3, 3)].max(covariance[(4, 4)]).sqrt();
+        self.motion.settle_attitude(&BodyAttitude { roll_rad, pitch_rad, heading_rad }, sigma_rad);
     }
 
     /// The beams that are segmented: the configured ones of the paper's 181, the same angles of others.

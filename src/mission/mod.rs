@@ -15,6 +15,7 @@ mod floor;
 mod journal;
 mod ledger;
 mod leg;
+mod level;
 mod lines;
 mod looks;
 mod motion;

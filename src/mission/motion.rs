@@ -1,5 +1,6 @@
 //! From wheel and inertial readings to one increment of motion at a time.
 
+use super::level::LevelDrift;
 use crate::geometry::wrap_pi;
 use crate::mapping::{TurnSource, tilted_increment};
 use crate::robot::{InsReading, OdometryReading};
@@ -55,17 +56,31 @@ pub struct MotionTracker {
     attitude: Option<BodyAttitude>,
     /// Attitude at the time of `wheels`.
     attitude_at_wheels: Option<BodyAttitude>,
+    /// What both are off by.
+    drift: LevelDrift,
 }
 
 impl MotionTracker {
     /// Takes in an attitude reading.
     pub fn attitude(&mut self, attitude: BodyAttitude) {
+        self.drift.note(attitude);
         self.attitude = Some(attitude);
     }
 
-    /// The last attitude read.
+    /// The last attitude read, without what the unit is known to be off by.
     pub fn last_attitude(&self) -> Option<BodyAttitude> {
-        self.attitude
+        self.attitude.map(|read| self.drift.corrected(&read))
+    }
+
+    /// Standard deviation that has been added to its roll and pitch since the unit's error was told, of
+    /// whose steps each errs by `step_share`, in radians.
+    pub fn level_sigma_rad(&self, step_share: f64) -> f64 {
+        self.drift.sigma_rad(step_share)
+    }
+
+    /// Takes in the attitude at the last reading as planes tell it, roll and pitch to `sigma_rad`.
+    pub fn settle_attitude(&mut self, known: &BodyAttitude, sigma_rad: f64) {
+        self.drift.settle(known, sigma_rad);
     }
 
     /// Takes in a wheel odometry pose; gives the robot's pose now in its own frame at the reading
@@ -80,12 +95,11 @@ impl MotionTracker {
         let (dx, dy) = (wheels.x_m - before.x_m, wheels.y_m - before.y_m);
         let (along, across) = (cos * dx + sin * dy, cos * dy - sin * dx);
         let (turn, level_before, level_after, source) = match (attitude_before, self.attitude) {
-            (Some(a), Some(b)) => (
-                wrap_pi(b.heading_rad - a.heading_rad),
-                (a.roll_rad, a.pitch_rad),
-                (b.roll_rad, b.pitch_rad),
-                TurnSource::Inertial,
-            ),
+            (Some(a), Some(b)) => {
+                let [a, b] = [a, b].map(|read| self.drift.corrected(&read));
+                let (before, after) = ((a.roll_rad, a.pitch_rad), (b.roll_rad, b.pitch_rad));
+                (wrap_pi(b.heading_rad - a.heading_rad), before, after, TurnSource::Inertial)
+            }
             _ => (wheel_turn, (0.0, 0.0), (0.0, 0.0), TurnSource::Wheels),
         };
         let (sin, cos) = (0.5 * turn).sin_cos();
