@@ -13,6 +13,7 @@ mod config;
 mod event;
 mod floor;
 mod journal;
+mod leaps;
 mod ledger;
 mod leg;
 mod level;

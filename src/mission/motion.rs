@@ -1,5 +1,6 @@
 //! From wheel and inertial readings to one increment of motion at a time.
 
+use super::leaps::Leaps;
 use super::level::LevelDrift;
 use crate::geometry::wrap_pi;
 use crate::mapping::{TurnSource, tilted_increment};
@@ -58,13 +59,29 @@ pub struct MotionTracker {
     attitude_at_wheels: Option<BodyAttitude>,
     /// What both are off by.
     drift: LevelDrift,
+    wheel_leaps: Leaps<PlanarPose>,
+    attitude_leaps: Leaps<BodyAttitude>,
 }
+
+/// A robot drives no farther than this between two readings of its wheels, unless some were lost; nor does it
+/// lean or turn by more.
+const LEAP_M: f64 = 2.0;
+const LEAP_RAD: f64 = 1.0;
+/// Over more than this no readings are lost: the wheels are counted from elsewhere.
+const RESTARTED_M: f64 = 20.0;
 
 impl MotionTracker {
     /// Takes in an attitude reading.
     pub fn attitude(&mut self, attitude: BodyAttitude) {
-        self.drift.note(attitude);
-        self.attitude = Some(attitude);
+        let is_near = |a: &BodyAttitude, b: &BodyAttitude| {
+            [b.roll_rad - a.roll_rad, b.pitch_rad - a.pitch_rad, b.heading_rad - a.heading_rad]
+                .iter()
+                .all(|turn| wrap_pi(*turn).abs() <= LEAP_RAD)
+        };
+        if self.attitude_leaps.believes(self.attitude.as_ref(), &attitude, is_near) {
+            self.drift.note(attitude);
+            self.attitude = Some(attitude);
+        }
     }
 
     /// The last attitude read, without what the unit is known to be off by.
@@ -84,9 +101,16 @@ impl MotionTracker {
     }
 
     /// Takes in a wheel odometry pose; gives the robot's pose now in its own frame at the reading
-    /// before, and what measured its turn. `None` for the first reading, which is only the origin.
+    /// before, and what measured its turn. `None` for the first reading, which is only the origin, and for
+    /// one that leaps, until the next is near it.
     pub fn wheels(&mut self, wheels: PlanarPose) -> Option<(Isometry3<f64>, TurnSource)> {
+        let apart_m = |a: &PlanarPose, b: &PlanarPose| (b.x_m - a.x_m).hypot(b.y_m - a.y_m);
+        let is_near = |a: &PlanarPose, b: &PlanarPose| apart_m(a, b) <= LEAP_M;
+        if !self.wheel_leaps.believes(self.wheels.as_ref(), &wheels, is_near) {
+            return None;
+        }
         let before = self.wheels.replace(wheels);
+        let before = before.filter(|before| apart_m(before, &wheels) <= RESTARTED_M);
         let attitude_before = std::mem::replace(&mut self.attitude_at_wheels, self.attitude);
         let before = before?;
         let wheel_turn = wrap_pi(wheels.heading_rad - before.heading_rad);
@@ -156,6 +180,22 @@ mod tests {
         let (increment, source) = tracker.wheels(pose(0.0, 0.0, FRAC_PI_2)).unwrap();
         assert_eq!(source, TurnSource::Inertial);
         assert!((increment.rotation.euler_angles().2 - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_garbled_reading_moves_nothing() {
+        let mut tracker = MotionTracker::default();
+        tracker.attitude(BodyAttitude::default());
+        tracker.wheels(pose(0.0, 0.0, 0.0));
+        assert_eq!(tracker.wheels(pose(9.3e6, 0.0, 0.0)), None);
+        tracker.attitude(BodyAttitude { roll_rad: 2.8, ..BodyAttitude::default() });
+        let (increment, _) = tracker.wheels(pose(0.1, 0.0, 0.0)).unwrap();
+        assert!((increment.translation.vector.norm() - 0.1).abs() < 1e-9);
+        assert_eq!(tracker.last_attitude(), Some(BodyAttitude::default()));
+        // Twice the same is no garbled digit, but no way that a robot drove either.
+        tracker.wheels(pose(9.3e6, 0.0, 0.0));
+        assert_eq!(tracker.wheels(pose(9.3e6, 0.1, 0.0)), None);
+        assert!(tracker.wheels(pose(9.3e6, 0.2, 0.0)).is_some());
     }
 
     #[test]
