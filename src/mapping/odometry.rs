@@ -2,6 +2,8 @@ use super::perturbation::{first_jacobian, second_jacobian, symmetric};
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+/// Metres or radians that are none: what rounding leaves of the increments of a robot that stands.
+const NOTHING: f64 = 1e-9;
 /// Share of the fixed part of a motion's error that stays when there was none.
 const REST_SHARE: f64 = 0.1;
 
@@ -159,7 +161,7 @@ impl Motion {
 
     /// Whether nothing was appended that moved the robot.
     pub fn is_still(&self) -> bool {
-        self.path_m == 0.0 && self.turn_rad == 0.0 && self.measured == Matrix6::zeros()
+        self.path_m < NOTHING && self.turn_rad < NOTHING && self.measured == Matrix6::zeros()
     }
 }
 
@@ -250,7 +252,20 @@ pub fn predicted_covariance(
 mod tests {
     use super::super::perturbation::least_eigenvalue;
     use super::*;
+    use nalgebra::Quaternion;
     use proptest::prelude::*;
+
+    #[test]
+    fn what_rounding_leaves_of_a_standing_robots_increments_is_no_motion() {
+        let turn = UnitQuaternion::new_unchecked(Quaternion::new(1.0, 0.0, 2.5e-17, 0.0));
+        let mut motion = Motion::default();
+        for _ in 0..400 {
+            let rounded = Isometry3::from_parts(Translation3::identity(), turn);
+            motion.append(&rounded, TurnSource::Inertial);
+        }
+        let noise = OdometryNoise::default();
+        assert_eq!(noise.covariance(&motion), noise.covariance(&Motion::default()));
+    }
 
     proptest! {
         #[test]
