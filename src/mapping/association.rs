@@ -341,6 +341,27 @@ impl Question<'_> {
         .collect()
     }
 
+    /// What observations that are pieces of landmarks say for an assignment beside its pairs, in the measure
+    /// of [`Assignment::support`]. A map in which one surface became two landmarks pairs both of its pieces;
+    /// that is no reason to believe it more than one in which they are pieces of one.
+    pub(super) fn pieces(&self, assignment: &Assignment, config: &AssociationConfig) -> f64 {
+        let belief = &assignment.belief;
+        let is_free =
+            |observation: &usize| assignment.pairs.iter().all(|pair| pair.0 != *observation);
+        let of_observation = |observation: usize| {
+            let fits = |&plane: &usize| {
+                let rows = self.rows(belief, observation, plane);
+                let distance = rows.distance_squared();
+                let is_piece = distance < config.gate
+                    && rows.h.x.abs() < APART_M
+                    && self.comparable(belief, &rows, observation, plane, config);
+                is_piece.then(|| tempered_ratio(distance, rows.s[(0, 0)], config))
+            };
+            self.candidates[observation].iter().filter_map(fits).fold(0.0, f64::max)
+        };
+        (0..self.observations.len()).filter(is_free).map(of_observation).sum()
+    }
+
     /// Normalised innovation squared of all observations that were recognised, jointly, under the
     /// belief before any of them; linearised at the pose that they lead to.
     pub(super) fn joint_nis(&self, before: &Belief, after: &Belief, verdicts: &[Verdict]) -> f64 {

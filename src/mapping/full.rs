@@ -172,6 +172,7 @@ impl Full {
                 log_prior,
                 far: found.shift_from(&prepared.belief).exceeds(FAR_M, FAR_M, FAR_RAD),
                 left_out: estimate.left_out(arrival, config, prepared, found),
+                pieces: estimate.pieces(arrival, config, prepared, found),
             };
             prepared.assignments.iter().map(claim).collect()
         };
@@ -183,6 +184,7 @@ impl Full {
             log_prior: LOG_UNRECOGNISED,
             far: false,
             left_out: Vec::new(),
+            pieces: 0.0,
         });
         prepared.push(plain);
         if few {
@@ -349,6 +351,8 @@ struct Claim {
     far: bool,
     /// See [`Estimate::left_out`].
     left_out: Vec<(usize, LandmarkId)>,
+    /// See [`Estimate::pieces`].
+    pieces: f64,
 }
 
 /// Scores of explanations with what the map says against them, and without a lead for what is far from
@@ -368,11 +372,11 @@ fn judge(
     }
     let judged: Vec<Judged> = claims
         .into_iter()
-        .map(|Claim { prepared, assignment, log_prior, far, left_out }| {
+        .map(|Claim { prepared, assignment, log_prior, far, left_out, pieces }| {
             let option = &options[prepared];
             let against = estimate.contradiction(scan, option, &assignment, &left_out);
             let refuted = against.share();
-            let score = assignment.support + log_prior + against.footing + against.doubled
+            let score = assignment.support + pieces + log_prior + against.footing + against.doubled
                 - weight_of(refuted);
             Judged { prepared, assignment, score, refuted, far }
         })

@@ -124,6 +124,18 @@ impl Estimate {
         left_out.map(|(observation, plane)| (observation, prepared.planes[plane])).collect()
     }
 
+    /// See [`Question::pieces`].
+    pub(in crate::mapping) fn pieces(
+        &self,
+        arrival: &Arrival<'_>,
+        config: &AssociationConfig,
+        prepared: &Prepared,
+        assignment: &Assignment,
+    ) -> f64 {
+        let landmarks = self.named(&prepared.planes);
+        prepared.question(arrival, &landmarks).pieces(assignment, config)
+    }
+
     pub(super) fn named(&self, planes: &[LandmarkId]) -> Vec<&Landmark> {
         planes.iter().map(|&id| self.landmark(id).expect("candidates come from the map")).collect()
     }
