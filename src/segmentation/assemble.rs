@@ -4,11 +4,11 @@ use super::Stage;
 use super::axes::candidate_axes;
 use super::components::{Components, NONE};
 use super::config::SegmentationConfig;
-use super::doubt::Doubts;
+use super::doubt::{Doubts, square};
 use super::field::Field;
 use super::fit::{
-    Columns, Fitted, Model, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR, SUMMED_SQUARE,
-    centroid_of, choose, fit_plane, is_flat, plane_of, settle, settle_known,
+    CAP, Columns, Fitted, Model, Packed, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR,
+    SUMMED_SQUARE, centroid_of, choose, fit_plane, is_flat, plane_of, settle, settle_known,
 };
 use super::hull::HullFinder;
 use super::stick_chain::Found;
@@ -65,6 +65,7 @@ pub(super) struct Assembler {
     /// Gains of the cells, zero at borders of regions that can spare them.
     fit_gain: Vec<f32>,
     readings: Readings,
+    packed: Packed,
     fitted: Vec<FittedRegion>,
     /// Planes that were seen on more than two beams, and the fitted regions that were not.
     planes: Vec<[f64; 3]>,
@@ -334,7 +335,7 @@ impl Assembler {
     }
 
     /// The sums of a component, about the plane `q · p = 1`.
-    fn sum_up(&self, field: &Field, component: usize, q: [f64; 3]) -> PlaneSums {
+    fn sum_up(&mut self, field: &Field, component: usize, q: [f64; 3]) -> PlaneSums {
         let cell = self.middle(component);
         let anchor = [field.x[cell], field.y[cell], field.z[cell]];
         let q = q.map(|v| v as f32);
@@ -346,7 +347,8 @@ impl Assembler {
             gain: &field.gain,
             fit_gain: &self.fit_gain,
         };
-        PlaneSums::over(Reference { q, anchor }, columns, self.components.runs(component))
+        let runs = self.components.runs(component);
+        PlaneSums::over(Reference { q, anchor }, columns, runs, &mut self.packed)
     }
 
     /// The shape of a component that the plane of its label does not explain.
@@ -395,9 +397,16 @@ impl Assembler {
         }
         for &k in &self.guesses {
             let component = self.fitted[k].component;
-            let most = SAME_PLANE * self.components.sizes[component] as f64;
-            let error = |&q: &[f64; 3]| self.sum_up(field, component, q).totals[SUMMED_ERROR];
-            if !self.planes.iter().any(|q| error(q) < most) {
+            let most = SAME_PLANE as f32 * self.components.sizes[component] as f32;
+            // On most planes a few of the readings err by more than all of them may.
+            let lies_on = |q: &[f64; 3]| {
+                let mut error = 0.0;
+                self.components.cells(component).all(|cell| {
+                    error += square(field, q, cell).min((CAP * CAP) as f32);
+                    error < most
+                })
+            };
+            if !self.planes.iter().any(lies_on) {
                 self.fitted[k].shape = Fitted::Other;
             }
         }

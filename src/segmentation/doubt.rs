@@ -200,7 +200,7 @@ impl Doubts {
 }
 
 /// Squared error of a cell on a plane, in units of its noise.
-fn square(field: &Field, q: &[f64; 3], cell: usize) -> f32 {
+pub(super) fn square(field: &Field, q: &[f64; 3], cell: usize) -> f32 {
     let [x, y, z] = q.map(|v| v as f32);
     let length = (x * x + y * y + z * z).sqrt();
     let error = x * field.x[cell] + y * field.y[cell] + z * field.z[cell] - 1.0;

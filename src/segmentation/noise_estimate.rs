@@ -26,14 +26,17 @@ const LEAST_M: f64 = 1e-4;
 /// Classes of range in which the variance is estimated apart.
 const RANGE_CLASSES: usize = 12;
 /// Classes of size, eight to an octave, taken from the bits of a 32-bit float.
-const SIZE_CLASSES: usize = 256;
+const SIZE_CLASSES: usize = 128;
 const SIZE_SHIFT: u32 = 20;
-/// Size class of 2^-24 m, the smallest that is told apart.
-const FIRST_SIZE: u32 = (127 - 24) << 3;
+/// Size class of 2^-15 m, the smallest that is told apart: a third of [`LEAST_M`]. The largest is all
+/// beyond 2 m.
+const FIRST_SIZE: u32 = (127 - 15) << 3;
 /// Fewest samples that make a class of range count.
 const FEWEST: f64 = 60.0;
-/// About how many samples are taken of a scan.
+/// How many samples at most, or a few more, are taken of a scan: of next neighbours, which tell the
+/// variance to 2 %, and of others, which only have to tell whether theirs is much larger.
 const SAMPLES: usize = 10_000;
+const FAR_SAMPLES: usize = 5_000;
 /// Widest pitch of the differences that tell how far errors are alike: 2.3°, with four of them less
 /// than most things are wide; and in cells.
 const WIDEST_RAD: f32 = 0.04;
@@ -84,16 +87,19 @@ struct Probe {
     kept: f64,
     /// Variance of a standard normal variable that is cut at its `kept` quantile of size.
     kept_variance: f64,
+    /// About how many samples are taken.
+    samples: usize,
 }
 
 impl Probe {
     fn near() -> Self {
-        Self { down: 1, right: 0, kept: KEPT, kept_variance: KEPT_VARIANCE }
+        let (kept, kept_variance) = (KEPT, KEPT_VARIANCE);
+        Self { down: 1, right: 0, kept, kept_variance, samples: SAMPLES }
     }
 
     fn far(down: usize, right: usize) -> Self {
         let (kept, kept_variance) = (FAR_KEPT, FAR_KEPT_VARIANCE);
-        Self { down, right, kept, kept_variance }
+        Self { down, right, kept, kept_variance, samples: FAR_SAMPLES }
     }
 }
 
@@ -318,7 +324,7 @@ impl NoiseEstimator {
             model.sigma_m(f64::from(span.0) + (class as f64 + 0.5) / f64::from(span.1)) as f32
         });
         let by_slope = BySlope { positions: &field.positions, pitch, span, sigmas };
-        self.gather(field, [pitch, 0], by_slope);
+        self.gather(field, [pitch, 0], SAMPLES, by_slope);
         let mut told = [SlopeClass::default(); RANGE_CLASSES];
         let all = self.samples(1..RANGE_CLASSES);
         let fewest = FEWEST.max(LEAST_SHARE * all);
@@ -339,14 +345,20 @@ impl NoiseEstimator {
 
     /// Takes differences of four readings, `[down, right]` cells apart along and across, and counts the
     /// size of each in the class in which it is filed.
-    fn gather(&mut self, field: &Field, [down, right]: [usize; 2], filing: impl Filing) {
+    fn gather(
+        &mut self,
+        field: &Field,
+        [down, right]: [usize; 2],
+        samples: usize,
+        filing: impl Filing,
+    ) {
         self.bins.fill([0.0; 2]);
         let lanes = field.lanes;
         let last = lanes.saturating_sub(3 * right);
         if last == 0 {
             return;
         }
-        let stride = (field.len() / SAMPLES).max(1);
+        let stride = field.len().div_ceil(samples).max(1);
         let apart = down * lanes + right;
         for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
             let first = step * lanes;
@@ -369,7 +381,7 @@ impl NoiseEstimator {
     /// The variance in each class of range, from the part that the probe keeps and from the part that
     /// is kept of far ones; `span` is the nearest range and classes per metre.
     fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
-        self.gather(field, [probe.down, probe.right], ByRange { span });
+        self.gather(field, [probe.down, probe.right], probe.samples, ByRange { span });
         let (nearest, per_metre) = span;
         let mut told = ([None; RANGE_CLASSES], [None; RANGE_CLASSES]);
         for class in 0..RANGE_CLASSES {

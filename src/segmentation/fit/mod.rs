@@ -7,6 +7,7 @@
 
 mod choose;
 mod cylinder;
+mod packed;
 mod plane;
 mod round;
 mod sphere;
@@ -14,6 +15,7 @@ mod sums;
 
 pub(super) use choose::{choose, improve_model, is_flat, settle, settle_known, settle_model};
 pub(super) use cylinder::across;
+pub(super) use packed::Packed;
 pub(super) use plane::{PlaneFit, centroid_of, fit_plane, plane_of};
 pub(super) use sums::{
     Columns, PlaneSums, Reference,
@@ -90,7 +92,7 @@ const FEW_ROUNDS: usize = 4;
 const STRAY: f64 = 3.0;
 
 /// Errors beyond this many standard deviations cost no more: the cost is that of an outlier.
-const CAP: f64 = 5.0;
+pub(super) const CAP: f64 = 5.0;
 
 /// Rounds along the rays, at most, and how many of them some readings are enough for.
 const RAY_ROUNDS: usize = 4;
@@ -129,6 +131,7 @@ pub(super) struct Readings {
     pub core: Vec<bool>,
     /// Coordinates, inverse ranges and gains as the sums of a plane read them.
     columns: [Vec<f32>; 6],
+    packed: Packed,
     /// Points, rays and deviations once more, as the rounds of an iteration read them.
     rays_by_column: RayColumns,
 }

@@ -172,7 +172,8 @@ pub(in super::super) fn fit_plane(readings: &mut Readings) -> Option<(PlaneFit, 
         gain.push((range / readings.sigmas[i]) as f32);
         fit_gain.push(if readings.core[i] { (range / readings.sigmas[i]) as f32 } else { 0.0 });
     }
-    let sums = PlaneSums::over_few(reference, Columns { x, y, z, inverse, gain, fit_gain });
+    let columns = Columns { x, y, z, inverse, gain, fit_gain };
+    let sums = PlaneSums::over_few(reference, columns, &mut readings.packed);
     Some((plane_of(&sums)?, sums.totals[place::ERROR]))
 }
 

@@ -4,12 +4,11 @@
 //! what the region's additive moments gave. Then the errors are small numbers and single precision
 //! holds them; a Newton step from there is exact, as the problem is linear.
 
+use super::packed::Packed;
 use super::{CAP, GATE, LEAST_COSINE};
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 use std::ops::Range;
 
-/// Vectors of readings that are added up in single precision.
-const LONGEST_SUM: usize = 64;
 /// Relative error beyond which a reading's place on the plane is not followed.
 const FARTHEST: f32 = 0.5;
 
@@ -59,6 +58,12 @@ pub(in super::super) mod place {
     /// Squared errors in units of the noise, as they are.
     pub const SQUARE: usize = 32;
     pub const COUNT: usize = 33;
+
+    /// The places of the sums in the order in which they are taken: of the readings' own, of products
+    /// with weights, and of those without.
+    pub const OWN: [usize; 6] = [WS, WSS, ERROR, INLIERS, GAIN, SQUARE];
+    pub const WEIGHTED: [usize; 13] = [0, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14];
+    pub const PLAIN: [usize; 14] = [15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28];
 }
 
 /// The sums.
@@ -70,22 +75,26 @@ pub(in super::super) struct PlaneSums {
 }
 
 impl PlaneSums {
-    /// The sums over runs of successive cells.
+    /// The sums over runs of successive cells with a return.
     pub fn over(
         reference: Reference,
         columns: Columns,
         runs: impl Iterator<Item = Range<usize>>,
+        packed: &mut Packed,
     ) -> Self {
-        let summation = Summation { reference, columns, runs };
-        match Arch::new() {
-            Arch::Scalar => Scalar128b.vectorize(summation),
-            arch => arch.dispatch(summation),
-        }
+        run(Summation { reference, columns, runs, packed })
     }
 
     /// The sums over few readings, in arrays of their own.
-    pub fn over_few(reference: Reference, columns: Columns) -> Self {
-        Self::over(reference, columns, std::iter::once(0..columns.x.len()))
+    pub fn over_few(reference: Reference, columns: Columns, packed: &mut Packed) -> Self {
+        Self::over(reference, columns, std::iter::once(0..columns.x.len()), packed)
+    }
+}
+
+fn run<W: WithSimd>(work: W) -> W::Output {
+    match Arch::new() {
+        Arch::Scalar => Scalar128b.vectorize(work),
+        arch => arch.dispatch(work),
     }
 }
 
@@ -94,6 +103,7 @@ struct Summation<'a, I> {
     reference: Reference,
     columns: Columns<'a>,
     runs: I,
+    packed: &'a mut Packed,
 }
 
 impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
@@ -101,49 +111,25 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> PlaneSums {
-        let Self { reference, columns, runs } = self;
-        let [x, y, z] = reference.q;
-        let offset_m = 1.0 / (x * x + y * y + z * z).sqrt();
-        let [ax, ay, az] = reference.anchor;
-        let about = About {
-            q: [simd.splat_f32s(x), simd.splat_f32s(y), simd.splat_f32s(z)],
-            anchor: [simd.splat_f32s(ax), simd.splat_f32s(ay), simd.splat_f32s(az)],
-            least: simd.splat_f32s(offset_m / LEAST_COSINE as f32),
-        };
+        let Self { reference, columns, runs, packed } = self;
+        let about = About::of(simd, &reference);
+        let Columns { x, y, z, inverse, gain, fit_gain } = columns;
+        let columns = [x, y, z, inverse, gain, fit_gain];
         let mut sums = PlaneSums { reference, totals: [0.0; place::COUNT], readings: 0 };
-        let mut block = [simd.splat_f32s(0.0); place::COUNT];
-        let mut blocks = 0;
+        packed.count = 0;
         for run in runs {
             sums.readings += run.len();
-            let Columns { x, y, z, inverse, gain, fit_gain } = columns;
-            let (x, y, z) = (part(simd, x, &run), part(simd, y, &run), part(simd, z, &run));
-            let (inverse, gain) = (part(simd, inverse, &run), part(simd, gain, &run));
-            let fit_gain = part(simd, fit_gain, &run);
-            let whole = x.0.iter().zip(y.0).zip(z.0).zip(inverse.0).zip(gain.0).zip(fit_gain.0);
-            for (((((&x, &y), &z), &inverse), &gain), &fit_gain) in whole {
-                add(simd, &about, [x, y, z, inverse, gain, fit_gain], &mut block);
-            }
-            blocks += x.0.len();
-            if !run.len().is_multiple_of(S::F32_LANES) {
-                let rest = [x.1, y.1, z.1, inverse.1, gain.1, fit_gain.1];
-                add(simd, &about, rest, &mut block);
-                blocks += 1;
-            }
-            if blocks > LONGEST_SUM {
-                flush(simd, &mut block, &mut sums.totals);
-                blocks = 0;
+            let mut at = run.start;
+            while at < run.end {
+                at = packed.take(&columns, at, run.end);
+                if packed.count == Packed::FULL {
+                    add_up(simd, &about, packed, &mut sums.totals);
+                }
             }
         }
-        flush(simd, &mut block, &mut sums.totals);
+        add_up(simd, &about, packed, &mut sums.totals);
         sums
     }
-}
-
-/// A run of an array: whole vectors, and what is left in one that zeros fill up.
-#[inline(always)]
-fn part<'a, S: Simd>(simd: S, array: &'a [f32], run: &Range<usize>) -> (&'a [S::f32s], S::f32s) {
-    let (whole, rest) = S::as_simd_f32s(&array[run.clone()]);
-    (whole, simd.partial_load_f32s(rest))
 }
 
 /// What sums are taken about, in every place of a vector.
@@ -154,19 +140,112 @@ struct About<V> {
     least: V,
 }
 
-/// Adds readings to the sums; places without one have zeros.
+impl<V> About<V> {
+    #[inline(always)]
+    fn of<S: Simd<f32s = V>>(simd: S, reference: &Reference) -> Self {
+        let [x, y, z] = reference.q;
+        let offset_m = 1.0 / (x * x + y * y + z * z).sqrt();
+        let [ax, ay, az] = reference.anchor;
+        Self {
+            q: [simd.splat_f32s(x), simd.splat_f32s(y), simd.splat_f32s(z)],
+            anchor: [simd.splat_f32s(ax), simd.splat_f32s(ay), simd.splat_f32s(az)],
+            least: simd.splat_f32s(offset_m / LEAST_COSINE as f32),
+        }
+    }
+}
+
+/// Adds what is packed to the totals.
+///
+/// There are more sums than a processor has vectors at hand, so the readings are gone through three
+/// times: once for what follows from each alone, which takes the place of what it follows from, and once
+/// each for the products with and without weights.
 #[inline(always)]
-fn add<S: Simd>(
+fn add_up<S: Simd>(
+    simd: S,
+    about: &About<S::f32s>,
+    packed: &mut Packed,
+    totals: &mut [f64; place::COUNT],
+) {
+    let count = packed.fill_up(S::F32_LANES);
+    let [x, y, z, inverse, gain, fit_gain] = packed.columns.each_mut();
+    let (x, y) = (S::as_mut_simd_f32s(&mut x[..count]).0, S::as_mut_simd_f32s(&mut y[..count]).0);
+    let z = S::as_mut_simd_f32s(&mut z[..count]).0;
+    let inverse = S::as_simd_f32s(&inverse[..count]).0;
+    let gain = S::as_mut_simd_f32s(&mut gain[..count]).0;
+    let fit_gain = S::as_mut_simd_f32s(&mut fit_gain[..count]).0;
+    let mut own = [simd.splat_f32s(0.0); 6];
+    let columns = x.iter_mut().zip(&mut *y).zip(&mut *z).zip(inverse).zip(&mut *gain);
+    for (((((x, y), z), inverse), gain), fit_gain) in columns.zip(&mut *fit_gain) {
+        let seen = look(simd, about, [*x, *y, *z, *inverse, *gain, *fit_gain], &mut own);
+        ([*x, *y, *z], *gain, *fit_gain) = (seen.d, seen.s, seen.w);
+    }
+    let mut weighted = [simd.splat_f32s(0.0); 13];
+    for ((((&x, &y), &z), &s), &w) in x.iter().zip(&*y).zip(&*z).zip(&*gain).zip(&*fit_gain) {
+        plus(simd, &mut weighted[0], w);
+        with_places(
+            simd,
+            &mut weighted[1..],
+            [x, y, z],
+            [mul(simd, w, x), mul(simd, w, y), mul(simd, w, z)],
+            s,
+        );
+    }
+    let mut plain = [simd.splat_f32s(0.0); 14];
+    for (((&x, &y), &z), &s) in x.iter().zip(&*y).zip(&*z).zip(&*gain) {
+        plus(simd, &mut plain[0], s);
+        plus_product(simd, &mut plain[1], s, s);
+        with_places(simd, &mut plain[2..], [x, y, z], [x, y, z], s);
+    }
+    let mut put = |places: &[usize], sums: &[S::f32s]| {
+        for (&place, &sum) in places.iter().zip(sums) {
+            totals[place] += f64::from(simd.reduce_sum_f32s(sum));
+        }
+    };
+    put(&place::OWN, &own);
+    put(&place::WEIGHTED, &weighted);
+    put(&place::PLAIN, &plain);
+}
+
+/// Adds up weighted places on the plane, their products with the places, and with the errors.
+#[inline(always)]
+fn with_places<S: Simd>(
+    simd: S,
+    sums: &mut [S::f32s],
+    d: [S::f32s; 3],
+    weighted: [S::f32s; 3],
+    s: S::f32s,
+) {
+    let mut pair = 6;
+    for i in 0..3 {
+        plus(simd, &mut sums[i], weighted[i]);
+        plus_product(simd, &mut sums[3 + i], weighted[i], s);
+        for &other in &d[i..] {
+            plus_product(simd, &mut sums[pair], weighted[i], other);
+            pair += 1;
+        }
+    }
+}
+
+/// What follows from readings: their errors relative to the range, the places on the plane that their
+/// rays meet, from the anchor, and their weights.
+struct Seen<V> {
+    s: V,
+    d: [V; 3],
+    w: V,
+}
+
+/// Looks at readings, and adds up what is no product with a place; where there is none are zeros.
+#[inline(always)]
+fn look<S: Simd>(
     simd: S,
     about: &About<S::f32s>,
     [x, y, z, inverse, gain, fit_gain]: [S::f32s; 6],
-    sums: &mut [S::f32s; place::COUNT],
-) {
+    sums: &mut [S::f32s; 6],
+) -> Seen<S::f32s> {
     let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
     let present = simd.greater_than_f32s(inverse, zero);
     let [qx, qy, qz] = about.q;
-    let product =
-        simd.add_f32s(simd.add_f32s(mul(simd, qx, x), mul(simd, qy, y)), mul(simd, qz, z));
+    let product = simd.mul_add_e_f32s(qx, x, simd.mul_add_e_f32s(qy, y, mul(simd, qz, z)));
     let s = simd.select_f32s(present, simd.sub_f32s(product, one), zero);
     // Where the ray meets the plane: what follows from it does not depend on the reading's error.
     let near = simd.max_f32s(s, simd.splat_f32s(-FARTHEST));
@@ -186,29 +265,14 @@ fn add<S: Simd>(
     let w = simd.select_f32s(inside, mul(simd, weight, weight), zero);
     let counted = simd.select_f32s(simd.greater_than_f32s(w, zero), one, zero);
     let ws = mul(simd, w, s);
-    plus(simd, &mut sums[place::W], w);
-    plus(simd, &mut sums[place::WS], ws);
-    plus_product(simd, &mut sums[place::WSS], ws, s);
-    plus(simd, &mut sums[place::S], s);
-    plus_product(simd, &mut sums[place::SS], s, s);
-    let capped = simd.min_f32s(square, simd.splat_f32s((CAP * CAP) as f32));
-    plus(simd, &mut sums[place::ERROR], capped);
-    plus(simd, &mut sums[place::INLIERS], counted);
-    plus(simd, &mut sums[place::SQUARE], square);
-    plus_product(simd, &mut sums[place::GAIN], gain, gain);
-    let mut pair = 0;
-    for i in 0..3 {
-        plus_product(simd, &mut sums[place::WD + i], w, d[i]);
-        plus_product(simd, &mut sums[place::WSD + i], ws, d[i]);
-        plus(simd, &mut sums[place::D + i], d[i]);
-        plus_product(simd, &mut sums[place::SD + i], s, d[i]);
-        for j in i..3 {
-            let product = mul(simd, d[i], d[j]);
-            plus_product(simd, &mut sums[place::WDD + pair], w, product);
-            plus(simd, &mut sums[place::DD + pair], product);
-            pair += 1;
-        }
-    }
+    let [sum_ws, sum_wss, sum_error, sum_inliers, sum_gain, sum_square] = sums;
+    plus(simd, sum_ws, ws);
+    plus_product(simd, sum_wss, ws, s);
+    plus(simd, sum_error, simd.min_f32s(square, simd.splat_f32s((CAP * CAP) as f32)));
+    plus(simd, sum_inliers, counted);
+    plus_product(simd, sum_gain, gain, gain);
+    plus(simd, sum_square, square);
+    Seen { s, d, w }
 }
 
 #[inline(always)]
@@ -224,13 +288,4 @@ fn plus_product<S: Simd>(simd: S, sum: &mut S::f32s, a: S::f32s, b: S::f32s) {
 #[inline(always)]
 fn plus<S: Simd>(simd: S, sum: &mut S::f32s, value: S::f32s) {
     *sum = simd.add_f32s(*sum, value);
-}
-
-/// Moves what was added in single precision to the totals.
-#[inline(always)]
-fn flush<S: Simd>(simd: S, block: &mut [S::f32s; place::COUNT], totals: &mut [f64; place::COUNT]) {
-    for (total, block) in totals.iter_mut().zip(block) {
-        *total += f64::from(simd.reduce_sum_f32s(*block));
-        *block = simd.splat_f32s(0.0);
-    }
 }
