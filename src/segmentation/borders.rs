@@ -1,33 +1,34 @@
 //! Where labels change in an image of labels.
 
+use super::compete::NO_RETURN;
 use pulp::{Arch, Simd, WithSimd};
+use std::ops::Range;
 
 /// Finds the cells at which two labels meet.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Borders {
     /// The bits in which a cell's label differs from those of its neighbours in its row.
     level: Vec<u32>,
-    /// The bits in which a cell of the row at hand differs from any neighbour.
-    around: Vec<u32>,
 }
 
 impl Borders {
-    /// Lists, in order, the cells whose label differs from that of one of their eight neighbours.
+    /// Lists, in order, the cells whose label differs from that of one of their eight neighbours; those
+    /// without a return are none.
     ///
-    /// Whole rows are compared at a time: most cells of a scan are inside a region, and this costs
-    /// them a few instructions each.
+    /// The whole image is compared, many cells at a time: most of a scan's are inside a region, and this
+    /// costs them a few instructions each.
     pub fn find(&mut self, labels: &[u32], width: usize, cells: &mut Vec<u32>) {
         cells.clear();
-        if width > 0 {
+        if width > 0 && !labels.is_empty() {
             self.level.resize(labels.len(), 0);
-            Arch::new().dispatch(Find { borders: self, labels, width, cells });
+            Arch::new().dispatch(Find { level: &mut self.level, labels, width, cells });
         }
     }
 }
 
 /// One search; its loops are over arrays, so that they run on vectors of any width.
 struct Find<'a> {
-    borders: &'a mut Borders,
+    level: &'a mut [u32],
     labels: &'a [u32],
     width: usize,
     cells: &'a mut Vec<u32>,
@@ -41,55 +42,80 @@ impl WithSimd for Find<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { borders: Borders { level, around }, labels, width, cells } = self;
-        for (row, level) in labels.chunks_exact(width).zip(level.chunks_exact_mut(width)) {
-            if width == 1 {
-                level[0] = 0;
-                continue;
-            }
-            level[0] = row[0] ^ row[1];
-            level[width - 1] = row[width - 1] ^ row[width - 2];
-            let (left, middle, right) = (&row[..width - 2], &row[1..width - 1], &row[2..]);
+        let Self { level, labels, width, cells } = self;
+        let length = labels.len();
+        if length > 2 {
+            let (left, middle, right) = (&labels[..length - 2], &labels[1..], &labels[2..]);
             let sides = left.iter().zip(middle).zip(right);
-            for (level, ((a, b), c)) in level[1..width - 1].iter_mut().zip(sides) {
+            for (level, ((a, b), c)) in level[1..length - 1].iter_mut().zip(sides) {
                 *level = (a ^ b) | (b ^ c);
             }
         }
-        let rows = labels.len() / width;
-        for row in 0..rows {
-            let span = row * width..(row + 1) * width;
-            around.clear();
-            around.extend_from_slice(&level[span.clone()]);
-            for other in [row.wrapping_sub(1), row + 1] {
-                if other < rows {
-                    let beside = other * width..(other + 1) * width;
-                    let both = labels[span.clone()].iter().zip(&labels[beside.clone()]);
-                    for ((around, (a, b)), level) in around.iter_mut().zip(both).zip(&level[beside])
-                    {
-                        *around |= (a ^ b) | level;
-                    }
+        // The ends of the rows have one neighbour, or none.
+        for first in (0..length).step_by(width) {
+            let last = first + width - 1;
+            level[first] = if width > 1 { labels[first] ^ labels[first + 1] } else { 0 };
+            level[last] = if width > 1 { labels[last] ^ labels[last - 1] } else { 0 };
+        }
+        let (top, bottom) = (width.min(length), length - width.min(length));
+        let above_of = |cells: Range<usize>| cells.start - width..cells.end - width;
+        let below_of = |cells: Range<usize>| cells.start + width..cells.end + width;
+        let rows = Rows { labels, level: &*level };
+        if length == width {
+            rows.list(0..width, &[], cells);
+            return;
+        }
+        rows.list(0..top, &[below_of(0..top)], cells);
+        for first in (top..bottom).step_by(PASSED) {
+            let part = first..(first + PASSED).min(bottom);
+            rows.list(part.clone(), &[above_of(part.clone()), below_of(part)], cells);
+        }
+        rows.list(bottom..length, &[above_of(bottom..length)], cells);
+    }
+}
+
+/// Labels, and the bits in which each differs from those beside it.
+struct Rows<'a> {
+    labels: &'a [u32],
+    level: &'a [u32],
+}
+
+impl Rows<'_> {
+    /// Lists the cells of a part that differ from those beside them, or from the parts above and below.
+    #[inline(always)]
+    fn list(&self, part: Range<usize>, others: &[Range<usize>], cells: &mut Vec<u32>) {
+        for first in part.clone().step_by(PASSED) {
+            let labels = load(self.labels, first);
+            let mut differs = load(self.level, first);
+            for other in others {
+                let at = other.start + first - part.start;
+                let (beside, level) = (load(self.labels, at), load(self.level, at));
+                for i in 0..PASSED {
+                    differs[i] |= (labels[i] ^ beside[i]) | level[i];
                 }
             }
-            let (parts, rest) = around.as_chunks::<PASSED>();
-            let mut first = span.start as u32;
-            for part in parts {
-                if part.iter().fold(0, |all, differs| all | differs) != 0 {
-                    list(part, first, cells);
-                }
-                first += PASSED as u32;
+            if differs.iter().fold(0, |all, differs| all | differs) == 0 {
+                continue;
             }
-            list(rest, first, cells);
+            // What is loaded beyond the part is not of it.
+            for (cell, i) in (first as u32..part.end as u32).zip(0..PASSED) {
+                if differs[i] != 0 && labels[i] != NO_RETURN {
+                    cells.push(cell);
+                }
+            }
         }
     }
 }
 
-/// Lists the cells that differ, the first of which is given.
-fn list(differing: &[u32], first: u32, cells: &mut Vec<u32>) {
-    for (cell, &differs) in (first..).zip(differing) {
-        if differs != 0 {
-            cells.push(cell);
-        }
-    }
+/// So many numbers from a place on; zeros where there are no more.
+#[inline(always)]
+fn load(array: &[u32], first: usize) -> [u32; PASSED] {
+    let rest = &array[first..];
+    rest.first_chunk().copied().unwrap_or_else(|| {
+        let mut few = [0; PASSED];
+        few[..rest.len()].copy_from_slice(rest);
+        few
+    })
 }
 
 #[cfg(test)]

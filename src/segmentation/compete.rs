@@ -7,9 +7,10 @@
 use super::borders::Borders;
 use super::field::Field;
 use super::fit::Model;
-use super::morphology::{inner8, neighbours8};
+use super::morphology::neighbours8;
+use super::near::{ALL, Near, neighbour};
 use nalgebra::Vector3;
-use wide::u32x8;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Squared error, in units of the noise, at which a cell is better left without a label.
 const UNEXPLAINED: f32 = 12.0;
@@ -46,7 +47,7 @@ impl Rival {
     }
 
     /// Error of a reading relative to its range.
-    #[inline]
+    #[inline(always)]
     fn error(&self, p: [f32; 3], range: f32) -> f32 {
         let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         match *self {
@@ -63,8 +64,8 @@ impl Rival {
     }
 }
 
-/// Label of a cell without a return while a competition runs.
-const NO_RETURN: u32 = u32::MAX;
+/// Label of a cell without a return while a chain finds regions.
+pub(super) const NO_RETURN: u32 = u32::MAX;
 
 /// Buffers of the competition.
 #[derive(Clone, Debug, Default)]
@@ -72,6 +73,8 @@ pub(super) struct Competition {
     borders: Borders,
     /// Cells that are at a border now or were at one before.
     pub border: Vec<u32>,
+    /// The labels that they had when they were first settled.
+    pub before: Vec<u32>,
     at_border: Vec<bool>,
     front: Vec<u32>,
     changes: Vec<(u32, u32)>,
@@ -81,14 +84,19 @@ pub(super) struct Competition {
 impl Competition {
     /// Settles the borders of `labels`; `rivals` stand at their label.
     pub fn settle(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
-        self.borders.find(labels, field.lanes, &mut self.border);
-        self.at_border.clear();
         self.at_border.resize(field.len(), false);
         for &cell in &self.border {
+            if let Some(at_border) = self.at_border.get_mut(cell as usize) {
+                *at_border = false;
+            }
+        }
+        self.borders.find(labels, field.lanes, &mut self.border);
+        self.before.clear();
+        for &cell in &self.border {
             self.at_border[cell as usize] = true;
+            self.before.push(labels[cell as usize]);
         }
         self.front.clone_from(&self.border);
-        self.mark_no_returns(field, labels);
         self.settle_front(field, rivals, labels);
     }
 
@@ -101,41 +109,43 @@ impl Competition {
         labels: &mut [u32],
         changed: &[bool],
     ) {
-        if self.front.is_empty() && !changed.contains(&true) {
-            return;
+        // All are down between calls.
+        self.queued.resize(field.len(), false);
+        for &cell in &self.front {
+            // What the rounds did not come to an end with is in the front still.
+            self.queued[cell as usize] = true;
         }
-        self.mark_no_returns(field, labels);
-        let has_changed = |label: u32| changed.get(label as usize).is_some_and(|&changed| changed);
-        // What the rounds did not come to an end with is in the front still.
-        self.front.extend(self.border.iter().filter(|&&cell| {
-            has_changed(labels[cell as usize])
-                || near_labels(labels, cell as usize, field.lanes).into_iter().any(has_changed)
-        }));
+        for &cell in &self.border {
+            let has_changed = changed.get(labels[cell as usize] as usize);
+            if has_changed.is_some_and(|&changed| changed) {
+                let near = neighbours8(cell as usize, field.lanes, field.len());
+                for n in near.chain([cell as usize]) {
+                    if self.at_border[n] && !self.queued[n] {
+                        self.queued[n] = true;
+                        self.front.push(n as u32);
+                    }
+                }
+            }
+        }
+        for &cell in &self.front {
+            self.queued[cell as usize] = false;
+        }
         self.settle_front(field, rivals, labels);
-    }
-
-    fn mark_no_returns(&self, field: &Field, labels: &mut [u32]) {
-        for (label, &range) in labels.iter_mut().zip(&field.range) {
-            *label = if range > 0.0 { *label } else { NO_RETURN };
-        }
     }
 
     /// Settles the labels of the cells in the front, and of those whose neighbours change.
     fn settle_front(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
         let (width, length) = (field.lanes, field.len());
-        // All are down between calls.
         self.queued.resize(length, false);
         for _ in 0..ROUNDS {
             self.changes.clear();
-            for &cell in &self.front {
-                let own = labels[cell as usize];
-                if own != NO_RETURN {
-                    let label = best_label(field, rivals, labels, cell as usize);
-                    if label != own {
-                        self.changes.push((cell, label));
-                    }
-                }
-            }
+            Arch::new().dispatch(Round {
+                field,
+                rivals,
+                labels,
+                front: &self.front,
+                changes: &mut self.changes,
+            });
             if self.changes.is_empty() {
                 self.front.clear();
                 break;
@@ -152,6 +162,7 @@ impl Competition {
                         if !self.at_border[n] {
                             self.at_border[n] = true;
                             self.border.push(n as u32);
+                            self.before.push(labels[n]);
                         }
                     }
                 }
@@ -160,20 +171,47 @@ impl Competition {
                 self.queued[cell as usize] = false;
             }
         }
-        for label in labels.iter_mut() {
-            *label = if *label == NO_RETURN { 0 } else { *label };
+    }
+}
+
+/// One round; vectors of the processor's own compare the neighbours.
+struct Round<'a> {
+    field: &'a Field,
+    rivals: &'a [Rival],
+    labels: &'a [u32],
+    front: &'a [u32],
+    /// Cells that get another label.
+    changes: &'a mut Vec<(u32, u32)>,
+}
+
+impl WithSimd for Round<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { field, rivals, labels, front, changes } = self;
+        for &cell in front {
+            let own = labels[cell as usize];
+            if own != NO_RETURN {
+                let label = best_label(field, rivals, labels, cell as usize, own);
+                if label != own {
+                    changes.push((cell, label));
+                }
+            }
         }
     }
 }
 
 /// The label at which a cell costs least.
-fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u32 {
-    let own = labels[cell];
-    let near = near_labels(labels, cell, field.lanes);
-    let all = u32x8::new(near);
-    // Each that is equal adds one less than nothing.
-    let count = |label: u32| all.simd_eq(u32x8::splat(label)).reduce_add().wrapping_neg();
-    let (around, agree) = (8 - count(NO_RETURN), count(own));
+#[inline(always)]
+fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize, own: u32) -> u32 {
+    let near = if field.rim.is_on(cell) {
+        Near::on_rim(labels, cell, field.lanes, NO_RETURN)
+    } else {
+        Near::of(labels, cell, field.lanes)
+    };
+    let returns = ALL & !near.with(NO_RETURN);
+    let (around, agree) = (returns.count_ones(), near.with(own));
     let p = [field.x[cell], field.y[cell], field.z[cell]];
     let (range, gain) = (field.range[cell], field.gain[cell]);
     let error = |label: u32| {
@@ -185,44 +223,30 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize) -> u
         }
     };
     let cost = |error: f32, votes: u32| error + DISAGREEMENT * (around - votes) as f32;
-    let kept = cost(error(own), agree) - LEAST_GAIN;
+    let kept = cost(error(own), agree.count_ones()) - LEAST_GAIN;
     // Another label has an error of zero at best, and at most the votes that are left.
-    if kept <= cost(0.0, around - agree) {
+    let mut others = returns & !agree;
+    if kept <= cost(0.0, others.count_ones()) {
         return own;
     }
     let mut best = (kept, own);
     // Zero comes first, whether a neighbour has it or not.
-    let mut last = NO_RETURN;
-    for label in std::iter::once(0).chain(near) {
-        // A label that is tried twice is no better the second time.
-        if label == own || label == last || label == NO_RETURN || (label == 0 && last != NO_RETURN)
-        {
-            continue;
+    if own != 0 {
+        let without = others & near.with(0);
+        others &= !without;
+        let cost = cost(UNEXPLAINED, without.count_ones());
+        if cost < best.0 {
+            best = (cost, 0);
         }
-        last = label;
-        let cost = cost(error(label), count(label));
+    }
+    while others != 0 {
+        let label = labels[neighbour(cell, field.lanes, others.trailing_zeros())];
+        let votes = others & near.with(label);
+        others &= !votes;
+        let cost = cost(error(label), votes.count_ones());
         if cost < best.0 {
             best = (cost, label);
         }
     }
     best.1
-}
-
-/// The labels around a cell; none where there is no cell or no return.
-#[inline]
-fn near_labels(labels: &[u32], cell: usize, width: usize) -> [u32; 8] {
-    match inner8(cell, width, labels.len()) {
-        Some([a, .., d, e, f, _, h]) => {
-            let (above, below) = (&labels[a..a + 3], &labels[f..=h]);
-            let (left, right) = (labels[d], labels[e]);
-            [above[0], above[1], above[2], left, right, below[0], below[1], below[2]]
-        }
-        None => {
-            let mut near = [NO_RETURN; 8];
-            for (near, n) in near.iter_mut().zip(neighbours8(cell, width, labels.len())) {
-                *near = labels[n];
-            }
-            near
-        }
-    }
 }

@@ -1,7 +1,8 @@
 //! Labels to regions: each 8-connected component of equal labels is a region of its own.
 
 use super::field::Field;
-use super::morphology::{inner8, neighbours8};
+use super::morphology::neighbours8;
+use super::near::{ALL, Near, neighbour};
 use std::ops::Range;
 
 /// The components of a label image, as runs of cells.
@@ -131,16 +132,18 @@ impl Components {
         self.find_runs(labels, width);
         self.join_runs(labels);
         self.number_runs();
-        self.of_cell.clear();
         self.of_cell.resize(labels.len(), NONE);
-        self.sorted.clear();
         self.sorted.resize(self.runs.len(), (0, 0));
+        let mut end = 0;
         for run in &self.runs {
             let at = &mut self.filled[run.parent as usize];
-            self.of_cell[run.first as usize..run.end as usize].fill(run.parent);
+            self.of_cell[end..run.first as usize].fill(NONE);
+            end = run.end as usize;
+            self.of_cell[run.first as usize..end].fill(run.parent);
             self.sorted[*at] = (run.first, run.end);
             *at += 1;
         }
+        self.of_cell[end..].fill(NONE);
     }
 
     /// Lists the runs of equal labels in every row.
@@ -229,11 +232,18 @@ impl Components {
     /// Whether a cell has no valid neighbour of another component.
     pub fn is_core(&self, cell: usize, field: &Field) -> bool {
         let component = self.of_cell[cell];
-        let same = |n: usize| self.of_cell[n] == component || !field.is_valid(n);
-        match inner8(cell, field.lanes, field.len()) {
-            Some(around) => around.into_iter().all(same),
-            None => neighbours8(cell, field.lanes, field.len()).all(same),
+        let is_same = |n: usize| self.of_cell[n] == component || !field.is_valid(n);
+        if field.rim.is_on(cell) {
+            return neighbours8(cell, field.lanes, field.len()).all(is_same);
         }
+        let mut others = ALL & !Near::of(&self.of_cell, cell, field.lanes).with(component);
+        while others != 0 {
+            if field.is_valid(neighbour(cell, field.lanes, others.trailing_zeros())) {
+                return false;
+            }
+            others &= others - 1;
+        }
+        true
     }
 }
 

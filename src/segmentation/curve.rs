@@ -310,7 +310,7 @@ impl CurveFinder {
         while at < self.set.len() {
             let stick = self.set[at];
             at += 1;
-            for s in sticks.near(stick) {
+            for s in sticks.around(stick).into_iter().flatten() {
                 let region = grower.region_of[s as usize];
                 let owner = grower.regions[region as usize].moments.n;
                 let other = &sticks.sticks[s as usize];

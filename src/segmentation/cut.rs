@@ -23,6 +23,9 @@ const DOUBTED: usize = 3;
 /// Bits of a cost that give way to the length of its run, less one: the least of such costs brings
 /// its length with it. What is left of the cost is good to one part in a million.
 const LENGTH_BITS: u32 = LONGEST as u32 - 1;
+/// Difference of two distances of steps, as a share of them, that makes none: the error that it leaves in
+/// a run is as much smaller than what the run rises by in one step.
+const UNEVEN: f32 = 1e-3;
 /// Vectors in a block: what is the same for all lanes is loaded once for them.
 const VECTORS: usize = 2;
 
@@ -31,10 +34,10 @@ const VECTORS: usize = 2;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cutter {
     /// Lanes of a block.
-    width: usize,
+    pub width: usize,
     steps: usize,
     /// Inverse ranges, per metre.
-    pub inverse: Vec<f32>,
+    inverse: Vec<f32>,
     /// One over the noise of the inverse range at each cell.
     sharpness: Vec<f32>,
     /// Least cost of each lane up to each step, from "nothing yet" on, with the price of a run more.
@@ -73,15 +76,34 @@ impl Cutter {
         }
     }
 
-    /// Where the first step of a lane is kept, and how far apart its steps are.
-    pub fn place(&self, lane: usize) -> (usize, usize) {
-        (lane / self.width * self.steps * self.width + lane % self.width, self.width)
+    /// The block that begins with a lane.
+    pub fn block(&self, lane: usize) -> Block<'_> {
+        let first = lane * self.steps;
+        let inverse = &self.inverse[first..first + self.steps * self.width];
+        Block { width: self.width, inverse }
     }
 
-    /// Cells of the run that ends at a place.
-    pub fn length(&self, place: usize) -> usize {
-        self.length[place] as usize + 1
+    /// Passes the first and the last step of each run of a lane, from the last run on; runs without a
+    /// return are none.
+    pub fn for_each_run(&self, lane: usize, mut pass: impl FnMut([u32; 2])) {
+        let first = lane / self.width * self.steps * self.width + lane % self.width;
+        let mut end = self.steps;
+        while end > 0 {
+            let place = first + (end - 1) * self.width;
+            let begin = end - (self.length[place] as usize + 1).min(end);
+            if self.inverse[place] > 0.0 {
+                pass([begin as u32, end as u32 - 1]);
+            }
+            end = begin;
+        }
     }
+}
+
+/// A block of lanes: how many, and their inverse ranges, step by step.
+#[derive(Clone, Copy)]
+pub(super) struct Block<'a> {
+    pub width: usize,
+    pub inverse: &'a [f32],
 }
 
 /// One cut, for vectors of some width.
@@ -114,8 +136,13 @@ impl WithSimd for Cut<'_> {
         let (sharpness, _) = S::as_simd_f32s(sharpness).0.as_chunks::<VECTORS>();
         let (cost, _) = S::as_mut_simd_f32s(cost).0.as_chunks_mut::<VECTORS>();
         let (length, _) = S::as_mut_simd_u32s(length).0.as_chunks_mut::<VECTORS>();
+        tables.clear();
         for step in 0..steps {
-            make_tables(tables, &field.positions, step);
+            let count = step.min(LONGEST - 1);
+            if !holds(tables, &field.positions, step) {
+                make_tables(tables, &field.positions, step);
+            }
+            let tables = &tables[..count];
             for block in 0..blocks {
                 let here = block * steps + step;
                 // Each block has a cost more than it has steps.
@@ -178,6 +205,18 @@ fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
             sharpness[at] = simd.mul_f32s(simd.mul_f32s(gain, range), trust);
         }
     }
+}
+
+/// Whether tables that were made for another step are those of this one, to a thousandth of the usual
+/// distance of two steps: nearly all are evenly spaced. A short run's tables are the first of a longer
+/// one's.
+fn holds(tables: &[Table], positions: &[f32], step: usize) -> bool {
+    let count = step.min(LONGEST - 1);
+    let Some(known) = tables.get(..count) else { return false };
+    let Some(first) = known.first() else { return true };
+    let (here, tolerance) = (positions[step], UNEVEN * first.back);
+    let past = positions[step - count..step].iter().rev();
+    past.zip(known).all(|(&past, table)| (here - past - table.back).abs() <= tolerance)
 }
 
 /// The tables for runs that end at a step, from two cells on.

@@ -6,6 +6,7 @@
 //! along; a *step* is a position on all lanes. On the project's own scanner the lanes are the
 //! columns (beams) and the steps are the rows (tilts).
 
+use super::near::Rim;
 use super::noise::ReadingErrors;
 use crate::scan::PointGrid;
 use pulp::{Arch, Simd, WithSimd};
@@ -17,7 +18,7 @@ const SATURATED: f32 = 0.9985;
 /// Fewest saturated readings that are believed to be some.
 const FEWEST_SATURATED: u32 = 32;
 /// Pairs of cells that are looked at to measure one angular pitch.
-const PITCH_SAMPLES: usize = 256;
+const PITCH_SAMPLES: usize = 64;
 /// Lanes that are looked at to measure the pitch between two steps.
 const LANE_SAMPLES: usize = 9;
 
@@ -47,6 +48,8 @@ pub(super) struct Field {
     pub gain: Vec<f32>,
     /// What is known of the errors of the grid's rows, see [`PointGrid::row_sigmas_rad`].
     pub row_sigmas_rad: Vec<f32>,
+    /// Which cells are on its rim.
+    pub rim: Rim,
     samples: Vec<f32>,
     turned: Vec<[f32; 3]>,
 }
@@ -127,6 +130,8 @@ impl Field {
         if !self.across_rad.is_finite() {
             self.across_rad = self.along_rad;
         }
+        let length = self.len();
+        self.rim.set_size(self.lanes, length);
         self.row_sigmas_rad.clear();
         self.row_sigmas_rad.extend_from_slice(grid.row_sigmas_rad());
         self.drop_saturated();

@@ -185,18 +185,22 @@ impl Grower {
         while at < self.front.len() {
             let stick = self.front[at];
             at += 1;
-            for s in sticks.near(stick) {
+            for s in sticks.around(stick).into_iter().flatten() {
+                if self.region_of[s as usize] != 0 {
+                    continue;
+                }
                 let other = &sticks.sticks[s as usize];
-                if self.region_of[s as usize] == 0 && region.plane.fits(other, &field.errors) {
-                    self.region_of[s as usize] = label;
-                    other.add_to(&mut region.moments);
-                    self.front.push(s);
-                    // A few more readings hardly move a plane; its covariance says what it is
-                    // known to, so a plane that lags behind is only a little more careful.
-                    if region.moments.n > next {
-                        region.plane = Plane::of(&region.moments);
-                        next = after(region.moments.n);
-                    }
+                if !region.plane.fits(other, &field.errors) {
+                    continue;
+                }
+                self.region_of[s as usize] = label;
+                other.add_to(&mut region.moments);
+                self.front.push(s);
+                // A few more readings hardly move a plane; its covariance says what it is
+                // known to, so a plane that lags behind is only a little more careful.
+                if region.moments.n > next {
+                    region.plane = Plane::of(&region.moments);
+                    next = after(region.moments.n);
                 }
             }
         }
@@ -209,8 +213,10 @@ impl Grower {
         for s in 0..sticks.sticks.len() as u32 {
             let region = self.region_of[s as usize];
             if region != 0 {
-                for other in sticks.near_after(s) {
-                    self.merger.push_pair(region, self.region_of[other as usize]);
+                for others in sticks.after(s) {
+                    for &other in &self.region_of[others.start as usize..others.end as usize] {
+                        self.merger.push_pair(region, other);
+                    }
                 }
             }
         }

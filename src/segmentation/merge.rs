@@ -1,7 +1,11 @@
 //! Neighbouring planar regions that one plane explains become one.
 
+use super::compete::NO_RETURN;
 use super::moments::Moments;
+use super::morphology::neighbours8;
+use super::near::Rim;
 use super::noise::ReadingErrors;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Rise of the error, in units of the noise, that a merge may always cost: three parameters and an
 /// outline fewer.
@@ -22,6 +26,35 @@ pub(super) struct Merger {
     costs: Vec<f64>,
     /// Round in which each region last took another in.
     grew: Vec<u32>,
+    /// Labels that are another's now, and whose.
+    moved: Vec<(u32, u32)>,
+}
+
+/// Replacements for which all labels are gone through once for each: more are looked up.
+const FEW_MOVED: usize = 12;
+
+/// Replaces labels, many at a time.
+struct Replace<'a> {
+    labels: &'a mut [u32],
+    moved: &'a [(u32, u32)],
+}
+
+impl WithSimd for Replace<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for &(from, to) in self.moved {
+            for label in &mut *self.labels {
+                *label = if *label == from { to } else { *label };
+            }
+        }
+    }
+}
+
+/// Whether a label is a region's.
+fn is_region(label: u32) -> bool {
+    label != 0 && label != NO_RETURN
 }
 
 impl Default for Merger {
@@ -32,6 +65,7 @@ impl Default for Merger {
             parents: Vec::new(),
             costs: Vec::new(),
             grew: Vec::new(),
+            moved: Vec::new(),
         }
     }
 }
@@ -44,28 +78,23 @@ impl Merger {
     }
 
     /// Lists the pairs of labels that touch in an image, corners included. `borders` holds the cells
-    /// at which labels meet.
-    pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize, borders: &[u32]) {
+    /// at which labels meet, `rim` those at the image's.
+    pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize, rim: &Rim, borders: &[u32]) {
         self.clear_pairs();
         for &cell in borders {
             let cell = cell as usize;
             let label = labels[cell];
-            if label == 0 {
+            if !is_region(label) {
                 continue;
             }
             // The neighbours before it have looked at it.
-            let below = cell + width;
-            let (left, right) = (!cell.is_multiple_of(width), !(cell + 1).is_multiple_of(width));
-            if right {
+            if rim.is_on(cell) {
+                let near = neighbours8(cell, width, labels.len()).filter(|&n| n > cell);
+                near.for_each(|n| self.push_pair(label, labels[n]));
+            } else {
                 self.push_pair(label, labels[cell + 1]);
-            }
-            if below < labels.len() {
-                self.push_pair(label, labels[below]);
-                if left {
-                    self.push_pair(label, labels[below - 1]);
-                }
-                if right {
-                    self.push_pair(label, labels[below + 1]);
+                for &below in &labels[cell + width - 1..cell + width + 2] {
+                    self.push_pair(label, below);
                 }
             }
         }
@@ -74,7 +103,7 @@ impl Merger {
 
     /// Adds a pair of labels unless they are equal or one is none.
     pub fn push_pair(&mut self, a: u32, b: u32) {
-        if a == b || a == 0 || b == 0 {
+        if a == b || !is_region(a) || !is_region(b) {
             return;
         }
         let pair = (a.min(b), a.max(b));
@@ -144,15 +173,20 @@ impl Merger {
 
     /// Replaces labels by those of the regions that theirs have become part of.
     pub fn follow(&mut self, labels: &mut [u32]) {
-        let mut merged = false;
+        self.moved.clear();
         for label in 0..self.parents.len() {
-            let root = self.root(label as u32);
-            merged |= root != label as u32;
+            // A parent has a smaller number, so it is a root already.
+            let root = self.parents[self.parents[label] as usize];
             self.parents[label] = root;
+            if root != label as u32 {
+                self.moved.push((label as u32, root));
+            }
         }
-        if merged {
+        if self.moved.len() <= FEW_MOVED {
+            Arch::new().dispatch(Replace { labels, moved: &self.moved });
+        } else {
             for label in labels {
-                *label = self.parents[*label as usize];
+                *label = self.parents.get(*label as usize).copied().unwrap_or(*label);
             }
         }
     }

@@ -21,9 +21,11 @@ mod fill;
 mod fit;
 mod grow;
 mod hull;
+mod lane_sums;
 mod merge;
 mod moments;
 mod morphology;
+mod near;
 mod noise;
 mod noise_estimate;
 mod noise_model;
@@ -192,7 +194,7 @@ impl Segmenter {
     pub fn stage_images(&self) -> Vec<StageImage> {
         let images = match self.config.method {
             Method::Paper => self.paper.images(&self.field),
-            Method::Sticks => self.sticks.images(&self.labels),
+            Method::Sticks => self.sticks.images(&self.field, &self.labels),
         };
         images.into_iter().map(|image| image.in_grid_order(&self.field)).collect()
     }

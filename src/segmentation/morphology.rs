@@ -82,17 +82,6 @@ impl Morphology {
     }
 }
 
-/// The eight neighbours of a cell that is not at the edge of its image.
-#[inline]
-pub(super) fn inner8(cell: usize, width: usize, length: usize) -> Option<[usize; 8]> {
-    let lane = cell as u32 % width as u32;
-    if lane == 0 || lane + 1 >= width as u32 || cell < width || cell + width >= length {
-        return None;
-    }
-    let (up, down) = (cell - width, cell + width);
-    Some([up - 1, up, up + 1, cell - 1, cell + 1, down - 1, down, down + 1])
-}
-
 /// The cells that touch `cell` in an image of `width` and `length` cells, in order.
 #[inline]
 pub(super) fn neighbours8(cell: usize, width: usize, length: usize) -> impl Iterator<Item = usize> {

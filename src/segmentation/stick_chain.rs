@@ -1,6 +1,6 @@
 //! The default structure.
 
-use super::compete::{Competition, Rival};
+use super::compete::{Competition, NO_RETURN, Rival};
 use super::config::SegmentationConfig;
 use super::curve::CurveFinder;
 use super::field::Field;
@@ -31,7 +31,6 @@ pub(super) struct Found<'a> {
 pub(super) struct StickChain {
     sticks: Sticks,
     grower: Grower,
-    grown: Vec<u32>,
     curves: CurveFinder,
     rivals: Vec<Rival>,
     competition: Competition,
@@ -56,10 +55,8 @@ impl StickChain {
         observe(Stage::Morphology);
         self.grower.grow(field, &self.sticks);
         self.curves.find(field, &self.sticks, &mut self.grower, &config.limits);
-        labels.clear();
-        labels.resize(field.len(), 0);
-        self.sticks.paint(labels, |stick| self.grower.region_of[stick]);
-        self.grown.clone_from(labels);
+        let region_of = &self.grower.region_of;
+        self.sticks.paint(field, |stick| region_of[stick], NO_RETURN, labels);
         observe(Stage::Fill);
         self.rivals.clear();
         for (region, model) in self.grower.regions.iter().zip(&self.curves.models) {
@@ -71,6 +68,9 @@ impl StickChain {
         self.competition.settle(field, &self.rivals, labels);
         self.merge(field, labels);
         self.competition.settle_again(field, &self.rivals, labels, &self.changed);
+        for label in labels.iter_mut() {
+            *label = if *label == NO_RETURN { 0 } else { *label };
+        }
         observe(Stage::Split);
         Found {
             moments: &self.moments,
@@ -83,16 +83,16 @@ impl StickChain {
     fn merge(&mut self, field: &Field, labels: &mut [u32]) {
         self.moments.clear();
         self.moments.extend(self.grower.regions.iter().map(|region| region.moments));
-        for &cell in &self.competition.border {
+        for (&cell, &before) in self.competition.border.iter().zip(&self.competition.before) {
             let cell = cell as usize;
-            let (before, now) = (self.grown[cell], labels[cell]);
+            let now = labels[cell];
             if before != now {
                 let (point, weight) = (field.point(cell), field.weight(cell));
                 self.moments[before as usize].sub_point(point, weight);
                 self.moments[now as usize].add_point(point, weight);
             }
         }
-        self.merger.pairs_of_labels(labels, field.lanes, &self.competition.border);
+        self.merger.pairs_of_labels(labels, field.lanes, &field.rim, &self.competition.border);
         let models = &self.curves.models;
         self.merger
             .merge(&mut self.moments, &field.errors, |label| models[label as usize].is_none());
@@ -112,12 +112,14 @@ impl StickChain {
     }
 
     /// The stages as pictures, in field order; `labels` are those that the chain found.
-    pub fn images(&self, labels: &[u32]) -> Vec<StageImage> {
-        let mut sticks = vec![0; self.grown.len()];
-        self.sticks.paint(&mut sticks, |stick| stick as u32 + 1);
+    pub fn images(&self, field: &Field, labels: &[u32]) -> Vec<StageImage> {
+        let (mut sticks, mut grown) = (Vec::new(), Vec::new());
+        let mut painter = self.sticks.clone();
+        painter.paint(field, |stick| stick as u32 + 1, 0, &mut sticks);
+        painter.paint(field, |stick| self.grower.region_of[stick], 0, &mut grown);
         vec![
             StageImage::labels("sticks", sticks),
-            StageImage::labels("grown", self.grown.clone()),
+            StageImage::labels("grown", grown),
             StageImage::labels("settled", labels.to_vec()),
         ]
     }

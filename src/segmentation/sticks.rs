@@ -7,7 +7,9 @@
 
 use super::cut::{Cutter, LONGEST};
 use super::field::Field;
+use super::lane_sums::LaneSums;
 use super::moments::Moments;
+use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
 /// Most cells without a return between two sticks of a lane that are still neighbours.
@@ -46,6 +48,21 @@ impl Stick {
     }
 }
 
+/// Which sticks of another lane, the first of which is given, touch each stick of a lane.
+fn touch(lane: &[[u32; 2]], other: &[[u32; 2]], first: u32, mut put: impl FnMut(usize, [u32; 2])) {
+    let (mut low, mut high) = (0, 0);
+    for (stick, &[begin, last]) in lane.iter().enumerate() {
+        while other.get(low).is_some_and(|other| other[1] + 1 < begin) {
+            low += 1;
+        }
+        high = high.max(low);
+        while other.get(high).is_some_and(|other| other[0] <= last + 1) {
+            high += 1;
+        }
+        put(stick, [first + low as u32, first + high as u32]);
+    }
+}
+
 /// All sticks of a scan, lane after lane, each lane in order of steps.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sticks {
@@ -53,12 +70,54 @@ pub(super) struct Sticks {
     cutter: Cutter,
     /// First stick of each lane, and the end of the last.
     starts: Vec<u32>,
-    /// Sticks of the lane before and of the lane after that touch each stick, corners included.
-    beside: Vec<[Range<u32>; 2]>,
+    /// First and last step of each stick, close together.
+    spans: Vec<[u32; 2]>,
+    /// Sticks of the lane before, of its own and of the lane after that touch each stick, corners
+    /// included: first and end each. Its own are a stick itself and those next to it.
+    beside: Vec<[[u32; 2]; 3]>,
     /// Sums of the positions of the steps and of their squares, up to each step.
     sums: Vec<[f64; 2]>,
+    /// Sums of the lanes of a block.
+    lane_sums: LaneSums,
     /// One over the difference of the positions of each step and the next.
     per_gap: Vec<f32>,
+    /// For each step how many sticks begin up to it, and the lanes and labels of sticks in the order of
+    /// their first steps.
+    beginnings: Vec<u32>,
+    order: Vec<(u32, u32)>,
+    /// Labels of the sticks that the lanes are in.
+    row: Vec<u32>,
+}
+
+/// Writing labels row by row.
+struct Paint<'a> {
+    field: &'a Field,
+    begun: &'a [u32],
+    order: &'a [(u32, u32)],
+    row: &'a mut [u32],
+    no_return: u32,
+    labels: &'a mut [u32],
+}
+
+impl WithSimd for Paint<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { field, begun, order, row, no_return, labels } = self;
+        let lanes = field.lanes.max(1);
+        let rows = labels.chunks_exact_mut(lanes).zip(field.range.chunks_exact(lanes));
+        let mut begin = 0;
+        for ((labels, ranges), &end) in rows.zip(begun) {
+            for &(lane, label) in &order[begin..end as usize] {
+                row[lane as usize] = label;
+            }
+            begin = end as usize;
+            for ((label, &range), &stick) in labels.iter_mut().zip(ranges).zip(&*row) {
+                *label = if range > 0.0 { stick } else { no_return };
+            }
+        }
+    }
 }
 
 impl Sticks {
@@ -81,135 +140,135 @@ impl Sticks {
 
     /// Walks every lane back from its end and lists its sticks.
     fn collect(&mut self, field: &Field) {
-        let (steps, lanes) = (field.steps, field.lanes);
         self.sticks.clear();
         self.starts.clear();
-        for lane in 0..lanes {
-            let begin = self.sticks.len();
-            self.starts.push(begin as u32);
-            let (place, apart) = self.cutter.place(lane);
-            let mut end = steps;
-            while end > 0 {
-                let last = end - 1;
-                let first = end - self.cutter.length(place + last * apart);
-                if self.cutter.inverse[place + last * apart] > 0.0 {
-                    self.sticks.push(self.measure(field, lane, first, last));
-                }
-                end = first;
+        self.spans.clear();
+        for lane in 0..field.lanes {
+            if lane.is_multiple_of(self.cutter.width) {
+                self.lane_sums.sum_up(self.cutter.block(lane), &field.positions);
             }
-            self.sticks[begin..].reverse();
+            let begin = self.spans.len();
+            self.starts.push(begin as u32);
+            self.cutter.for_each_run(lane, |run| self.spans.push(run));
+            self.spans[begin..].reverse();
+            for stick in begin..self.spans.len() {
+                self.sticks.push(self.measure(field, lane, self.spans[stick]));
+            }
         }
         self.starts.push(self.sticks.len() as u32);
     }
 
-    /// Gives the cells of each stick a label, in an image as wide as there are lanes.
-    pub fn paint(&self, labels: &mut [u32], label_of: impl Fn(usize) -> u32) {
-        let lanes = self.starts.len().saturating_sub(1);
-        for (s, stick) in self.sticks.iter().enumerate() {
-            let label = label_of(s);
-            let mut cell = stick.first as usize * lanes + stick.lane as usize;
-            for _ in stick.first..stick.last + 1 {
-                labels[cell] = label;
-                cell += lanes;
-            }
+    /// Gives the cells of each stick a label, and those without a return another one.
+    ///
+    /// A row is the labels of the sticks that its lanes are in, so few of which change from the row before
+    /// that whole rows are written.
+    pub fn paint(
+        &mut self,
+        field: &Field,
+        label_of: impl Fn(usize) -> u32,
+        no_return: u32,
+        labels: &mut Vec<u32>,
+    ) {
+        let Self { sticks, beginnings, order, row, .. } = self;
+        beginnings.clear();
+        beginnings.resize(field.steps + 1, 0);
+        for stick in &*sticks {
+            beginnings[stick.first as usize + 1] += 1;
         }
+        for step in 0..field.steps {
+            beginnings[step + 1] += beginnings[step];
+        }
+        order.resize(sticks.len(), (0, 0));
+        for (s, stick) in sticks.iter().enumerate() {
+            let place = &mut beginnings[stick.first as usize];
+            order[*place as usize] = (stick.lane, label_of(s));
+            *place += 1;
+        }
+        labels.resize(field.len(), no_return);
+        row.clear();
+        row.resize(field.lanes, no_return);
+        // Each beginning has moved to the next one's place.
+        Arch::new().dispatch(Paint { field, begun: beginnings, order, row, no_return, labels });
     }
 
-    /// Finds which sticks of neighbouring lanes touch.
+    /// Finds which sticks touch.
     fn link(&mut self) {
-        self.beside.clear();
-        self.beside.resize(self.sticks.len(), [0..0, 0..0]);
         let lanes = self.starts.len() - 1;
+        self.beside.clear();
         for lane in 0..lanes {
-            for (side, other) in [lane.wrapping_sub(1), lane + 1].into_iter().enumerate() {
-                if other >= lanes {
-                    continue;
-                }
-                let (mut low, end) = (self.starts[other], self.starts[other + 1]);
-                let mut high = low;
-                for stick in self.starts[lane]..self.starts[lane + 1] {
-                    let Stick { first, last, .. } = self.sticks[stick as usize];
-                    while low < end && self.sticks[low as usize].last + 1 < first {
-                        low += 1;
-                    }
-                    high = high.max(low);
-                    while high < end && self.sticks[high as usize].first <= last + 1 {
-                        high += 1;
-                    }
-                    self.beside[stick as usize][side] = low..high;
-                }
+            let own = self.starts[lane]..self.starts[lane + 1];
+            // How far the gap to the stick before is bridged.
+            let mut bridged = 0;
+            for stick in own.clone() {
+                let last = self.spans[stick as usize][1];
+                let next = self.spans[stick as usize + 1..own.end as usize].first();
+                let is_near = next.is_some_and(|next| next[0] - last <= BRIDGED + 1);
+                let end = stick + 1 + u32::from(is_near);
+                self.beside.push([[0, 0], [stick - bridged, end], [0, 0]]);
+                bridged = u32::from(is_near);
             }
+        }
+        for lane in 1..lanes {
+            let (before, here) = (self.starts[lane - 1], self.starts[lane]);
+            let end = self.starts[lane + 1];
+            let (low, rest) = self.beside.split_at_mut(here as usize);
+            let (low_spans, rest_spans) = self.spans.split_at(here as usize);
+            let (low, low_spans) = (&mut low[before as usize..], &low_spans[before as usize..]);
+            let count = (end - here) as usize;
+            let (high, high_spans) = (&mut rest[..count], &rest_spans[..count]);
+            touch(low_spans, high_spans, here, |stick, range| low[stick][2] = range);
+            touch(high_spans, low_spans, before, |stick, range| high[stick][0] = range);
         }
     }
 
     /// The sticks of the lane before and of the lane after that touch a stick.
-    pub fn beside(&self, stick: u32) -> &[Range<u32>; 2] {
-        &self.beside[stick as usize]
+    pub fn beside(&self, stick: u32) -> [Range<u32>; 2] {
+        let [before, _, after] = self.around(stick);
+        [before, after]
     }
 
-    /// The next stick of the same lane if no more than a few cells without a return are between.
-    fn next(&self, stick: u32) -> Option<u32> {
-        let here = &self.sticks[stick as usize];
-        let other = self.sticks.get(stick as usize + 1)?;
-        (other.lane == here.lane && other.first - here.last <= BRIDGED + 1).then_some(stick + 1)
-    }
-
-    /// All sticks that touch a stick, in order of lanes, then steps.
-    pub fn near(&self, stick: u32) -> impl Iterator<Item = u32> + '_ {
-        let [before, after] = self.beside(stick).clone();
-        let last = stick.checked_sub(1).filter(|&last| self.next(last).is_some());
-        before.chain(last).chain(self.next(stick)).chain(after)
+    /// The sticks that touch a stick, in order of lanes, then steps; it is one of them.
+    pub fn around(&self, stick: u32) -> [Range<u32>; 3] {
+        self.beside[stick as usize].map(|[first, end]| first..end)
     }
 
     /// Those of them that come after the stick.
-    pub fn near_after(&self, stick: u32) -> impl Iterator<Item = u32> + '_ {
-        self.next(stick).into_iter().chain(self.beside(stick)[1].clone())
+    pub fn after(&self, stick: u32) -> [Range<u32>; 2] {
+        let [_, [_, end], [first_after, end_after]] = self.beside[stick as usize];
+        [stick + 1..end, first_after..end_after]
     }
 
     /// The line of a stick and the two points that stand for it.
-    fn measure(&self, field: &Field, lane: usize, first: usize, last: usize) -> Stick {
-        let (place, apart) = self.cutter.place(lane);
-        let cell = |step: usize| step * field.lanes + lane;
-        let count = last - first + 1;
+    fn measure(&self, field: &Field, lane: usize, [first, last]: [u32; 2]) -> Stick {
+        let (begin, end) = (first as usize, last as usize + 1);
+        let count = end - begin;
         let n = count as f64;
-        let inverse = &self.cutter.inverse[place + first * apart..=place + last * apart];
-        let anchor = f64::from(inverse[0]);
-        let origin = f64::from(field.positions[first]);
-        let (mut f1, mut tf, mut f2) = (0.0, 0.0, 0.0);
-        let mut at = 0;
-        for &position in &field.positions[first..=last] {
-            let f = f64::from(inverse[at]) - anchor;
-            let t = f64::from(position) - origin;
-            at += apart;
-            f1 += f;
-            tf += t * f;
-            f2 += f * f;
-        }
-        let (low, high) = (self.sums[first], self.sums[last + 1]);
-        let t1 = (high[0] - low[0]) - n * origin;
-        let t2 = (high[1] - low[1]) - origin * (2.0 * t1 + n * origin);
+        let (low, high) = (self.sums[begin], self.sums[end]);
+        let (t1, t2) = (high[0] - low[0], high[1] - low[1]);
+        let [f1, tf, f2] = self.lane_sums.between(lane % self.cutter.width, begin, end);
         let share = 1.0 / n;
-        let (mean_t, mean_f) = (t1 * share, f1 * share);
+        let (mean_t, middle) = (t1 * share, f1 * share);
         let scatter = (t2 - t1 * mean_t).max(0.0);
-        let product = tf - t1 * mean_f;
-        let slope = if last > first { product / scatter } else { 0.0 };
+        let product = tf - t1 * middle;
+        let slope = if count > 1 { product / scatter } else { 0.0 };
         let reach = (scatter * share).sqrt();
-        let left = (f2 - f1 * mean_f - slope * product).max(0.0);
-        let middle = anchor + mean_f;
+        let left = (f2 - f1 * middle - slope * product).max(0.0);
         let guess = INNER[count];
         let guesses = [guess, count.saturating_sub(2 + guess)];
-        let ends = [(-reach, guesses[0]), (reach, guesses[1])].map(|(t, guess)| {
+        let end_at = |t: f64, guess: usize| {
             let range = 1.0 / (middle + slope * t);
-            self.ray_at(field, lane, [first, last], mean_t + t, guess).map(|u| u * range)
-        });
+            let ray = self.ray_at(field, lane, [begin, end], (mean_t + t) as f32, guess);
+            ray.map(|u| f64::from(u) * range)
+        };
+        let ends = [end_at(-reach, guesses[0]), end_at(reach, guesses[1])];
         // The gain changes smoothly along a stick.
-        let [a, b, c] = [first, first + count / 2, last].map(|step| field.weight(cell(step)));
-        let gain = (a + b + c) / 3.0;
+        let gain_at = |step: usize| f64::from(field.gain[step * field.lanes + lane]).powi(2);
+        let gain = (gain_at(begin) + gain_at(begin + count / 2) + gain_at(end - 1)) / 3.0;
         let range = 1.0 / middle;
         Stick {
             lane: lane as u32,
-            first: first as u32,
-            last: last as u32,
+            first,
+            last,
             ends,
             weight: 0.5 * gain * n,
             gain,
@@ -218,40 +277,39 @@ impl Sticks {
         }
     }
 
-    /// The ray of a lane at a position between two steps, which counts from the first; `guess` is
-    /// where between them that is about.
+    /// The ray of a lane at a position of `begin..end` steps; `guess` is between which of them, counted
+    /// from the first, that is about.
+    #[inline]
     fn ray_at(
         &self,
         field: &Field,
         lane: usize,
-        [first, last]: [usize; 2],
-        position: f64,
+        [begin, end]: [usize; 2],
+        position: f32,
         guess: usize,
-    ) -> [f64; 3] {
+    ) -> [f32; 3] {
         let lanes = field.lanes;
-        let at = first * lanes + lane;
-        if first == last {
+        let at = begin * lanes + lane;
+        if end - begin == 1 {
             let inverse = field.inverse[at];
-            return [field.x[at], field.y[at], field.z[at]].map(|v| f64::from(v * inverse));
+            return [field.x[at] * inverse, field.y[at] * inverse, field.z[at] * inverse];
         }
-        let positions = &field.positions[first..=last];
-        let position = position as f32 + positions[0];
-        let mut step = guess.min(last - first - 1);
+        let positions = &field.positions[begin..end];
+        let most = positions.len() - 2;
+        let mut step = guess.min(most);
         while step > 0 && positions[step] >= position {
             step -= 1;
         }
-        while step + 1 < last - first && positions[step + 1] < position {
+        while step < most && positions[step + 1] < position {
             step += 1;
         }
-        let share = (position - positions[step]) * self.per_gap[first + step];
+        let share = (position - positions[step]) * self.per_gap[begin + step];
         let share = share.clamp(0.0, 1.0);
         // Of one line between two rays, whose parts are inverse ranges times coordinates.
-        let (a, b) = (at + step * lanes, at + (step + 1) * lanes);
-        let (u, v) = ((1.0 - share) * field.inverse[a], share * field.inverse[b]);
-        [
-            f64::from(u * field.x[a] + v * field.x[b]),
-            f64::from(u * field.y[a] + v * field.y[b]),
-            f64::from(u * field.z[a] + v * field.z[b]),
-        ]
+        let pair = at + step * lanes..=at + (step + 1) * lanes;
+        let inverse = &field.inverse[pair.clone()];
+        let (u, v) = ((1.0 - share) * inverse[0], share * inverse[lanes]);
+        let [x, y, z] = [&field.x, &field.y, &field.z].map(|axis| &axis[pair.clone()]);
+        [u * x[0] + v * x[lanes], u * y[0] + v * y[lanes], u * z[0] + v * z[lanes]]
     }
 }
