@@ -8,7 +8,8 @@ use super::doubt::{Doubts, square};
 use super::field::Field;
 use super::fit::{
     CAP, Columns, Fitted, Model, Packed, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR,
-    SUMMED_SQUARE, centroid_of, choose, fit_plane, is_flat, plane_of, settle, settle_known,
+    SUMMED_SQUARE, centroid_of, choose, fit_plane, is_flat, mean_square_distance, plane_of, settle,
+    settle_known,
 };
 use super::hull::HullFinder;
 use super::stick_chain::Found;
@@ -82,6 +83,8 @@ struct FittedRegion {
     component: usize,
     shape: Fitted,
     centroid: Vector3<f64>,
+    /// Mean square distance of the points from a sphere or a cylinder.
+    square_m2: Option<f64>,
     /// Whether there are readings that a plane does not explain.
     doubtful: bool,
 }
@@ -192,7 +195,7 @@ impl Assembler {
                 format_args!("{specks} regions of fewer than {REPORTED_POINTS} points each");
             reject(&mut self.spare_reasons, result, speck_points, reason);
         }
-        let valid = field.range.iter().filter(|&&range| range > 0.0).count();
+        let valid = field.returns();
         if valid > labelled {
             let reason = format_args!("single points that no surface beside them explains");
             reject(&mut self.spare_reasons, result, valid - labelled, reason);
@@ -279,7 +282,8 @@ impl Assembler {
             let n = (cells as f64 / field.errors.patch).max(1.0);
             let excess = DOUBTED_EXCESS.max(4.0 * (2.0 / n).sqrt());
             let doubtful = sums.totals[SUMMED_SQUARE] > cells as f64 * (1.0 + excess);
-            FittedRegion { component, shape, centroid: centroid_of(sums), doubtful }
+            let centroid = centroid_of(sums);
+            FittedRegion { component, shape, centroid, square_m2: None, doubtful }
         };
         if let Some(plane) = plane_of(&sums)
             && is_flat(error, cells, &plane, &config.limits, &field.errors)
@@ -291,7 +295,8 @@ impl Assembler {
             gather(field, cells, &self.fit_gain, &mut self.readings);
             let (limits, errors) = (&config.limits, &field.errors);
             if let Some(shape) = settle_known(&self.readings, model, limits, errors, error) {
-                return fitted(shape, &sums);
+                let square_m2 = mean_square_distance(&self.readings, &shape);
+                return FittedRegion { square_m2, ..fitted(shape, &sums) };
             }
         }
         match self.choose_shape(field, component, config) {
@@ -301,7 +306,10 @@ impl Assembler {
                 let sums = self.sum_up(field, component, (normal / offset_m).into());
                 fitted(plane_of(&sums).map_or(Fitted::Other, Fitted::Plane), &sums)
             }
-            shape => fitted(shape, &sums),
+            shape => {
+                let square_m2 = mean_square_distance(&self.readings, &shape);
+                FittedRegion { square_m2, ..fitted(shape, &sums) }
+            }
         }
     }
 
@@ -416,13 +424,9 @@ impl Assembler {
         // Readings that err alike tell less than their number says.
         let inflation = field.errors.inflation;
         for (index, region) in self.fitted.drain(..).enumerate() {
-            let FittedRegion { component, shape, centroid, .. } = region;
+            let FittedRegion { component, shape, centroid, square_m2, .. } = region;
             let cells = self.components.cells(component);
             let count = self.components.sizes[component];
-            let distances = |model: &Model| {
-                let points = cells.map(|cell| Vector3::from(field.point(cell)));
-                points.map(|p| model.distance(&p).0.powi(2)).sum::<f64>() / count as f64
-            };
             let (shape, square) = match shape {
                 Fitted::Plane(plane) => {
                     let PlaneFit { grid_from_plane, covariance, square_m2, .. } = plane;
@@ -434,36 +438,35 @@ impl Assembler {
                     self.hull.find_in_runs(points, width, runs, &grid_from_plane, &mut hull);
                     if square_m2 > (THICKEST * across_m(&hull)).powi(2) {
                         self.spare_hulls.push(hull);
-                        (Shape::Other, square_m2)
+                        (Shape::Other, Some(square_m2))
                     } else {
                         let covariance = covariance * inflation;
                         let noise_m = noise_across(field, &grid_from_plane);
                         let plane = PlanePatch { grid_from_plane, covariance, hull, noise_m };
-                        (Shape::Plane(plane), square_m2)
+                        (Shape::Plane(plane), Some(square_m2))
                     }
                 }
                 Fitted::Sphere { centre, radius_m, covariance } => {
                     let covariance = covariance * inflation;
-                    let square = distances(&Model::Sphere { centre: centre.coords, radius_m });
-                    (Shape::Sphere(Sphere { centre, radius_m, covariance }), square)
+                    (Shape::Sphere(Sphere { centre, radius_m, covariance }), square_m2)
                 }
                 Fitted::Cylinder { axis_point, axis, radius_m, length_m, covariance } => {
                     let covariance = covariance * inflation;
-                    let (foot, direction) = (axis_point.coords, axis.into_inner());
-                    let square = distances(&Model::Cylinder { foot, axis: direction, radius_m });
                     let shape = Cylinder { axis_point, axis, radius_m, length_m, covariance };
-                    (Shape::Cylinder(shape), square)
+                    (Shape::Cylinder(shape), square_m2)
                 }
                 Fitted::Other => {
                     // From the plane across the line of sight through the centroid.
-                    let normal = centroid.normalize();
-                    (Shape::Other, distances(&Model::Plane { normal, offset_m: centroid.norm() }))
+                    let (normal, offset_m) = (centroid.normalize(), centroid.norm());
+                    let points = cells.map(|cell| Vector3::from(field.point(cell)));
+                    let squares = points.map(|p| (normal.dot(&p) - offset_m).powi(2));
+                    (Shape::Other, Some(squares.sum::<f64>() / count as f64))
                 }
             };
             result.surfaces.push(Surface {
                 id: index as u16 + 1,
                 points: count,
-                rms_m: square.max(0.0).sqrt(),
+                rms_m: square.unwrap_or(0.0).max(0.0).sqrt(),
                 centroid: Point3::from(centroid),
                 shape,
             });

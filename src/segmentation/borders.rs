@@ -57,20 +57,14 @@ impl WithSimd for Find<'_> {
             level[first] = if width > 1 { labels[first] ^ labels[first + 1] } else { 0 };
             level[last] = if width > 1 { labels[last] ^ labels[last - 1] } else { 0 };
         }
-        let (top, bottom) = (width.min(length), length - width.min(length));
-        let above_of = |cells: Range<usize>| cells.start - width..cells.end - width;
-        let below_of = |cells: Range<usize>| cells.start + width..cells.end + width;
+        let bottom = length - width;
         let rows = Rows { labels, level: &*level };
-        if length == width {
-            rows.list(0..width, &[], cells);
-            return;
+        if bottom == 0 {
+            return rows.list_rim(0..width, &[], cells);
         }
-        rows.list(0..top, &[below_of(0..top)], cells);
-        for first in (top..bottom).step_by(PASSED) {
-            let part = first..(first + PASSED).min(bottom);
-            rows.list(part.clone(), &[above_of(part.clone()), below_of(part)], cells);
-        }
-        rows.list(bottom..length, &[above_of(bottom..length)], cells);
+        rows.list_rim(0..width, &[width], cells);
+        rows.list_inside(width, cells);
+        rows.list_rim(bottom..length, &[bottom - width], cells);
     }
 }
 
@@ -81,41 +75,59 @@ struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    /// Lists the cells of a part that differ from those beside them, or from the parts above and below.
-    #[inline(always)]
-    fn list(&self, part: Range<usize>, others: &[Range<usize>], cells: &mut Vec<u32>) {
-        for first in part.clone().step_by(PASSED) {
-            let labels = load(self.labels, first);
-            let mut differs = load(self.level, first);
+    /// Lists the cells of a row that differ from those beside them, or from other rows.
+    fn list_rim(&self, row: Range<usize>, others: &[usize], cells: &mut Vec<u32>) {
+        for cell in row.clone() {
+            let mut differs = self.level[cell];
             for other in others {
-                let at = other.start + first - part.start;
-                let (beside, level) = (load(self.labels, at), load(self.level, at));
-                for i in 0..PASSED {
-                    differs[i] |= (labels[i] ^ beside[i]) | level[i];
+                let other = other + cell - row.start;
+                differs |= (self.labels[cell] ^ self.labels[other]) | self.level[other];
+            }
+            if differs != 0 && self.labels[cell] != NO_RETURN {
+                cells.push(cell as u32);
+            }
+        }
+    }
+
+    /// Lists the same of all rows with one above and one below.
+    #[inline(always)]
+    fn list_inside(&self, width: usize, cells: &mut Vec<u32>) {
+        let parts = |array| {
+            let [above, here, below] = three_rows(array, width);
+            above.iter().zip(here).zip(below)
+        };
+        let labels = parts(self.labels);
+        let mut first = width as u32;
+        for (((la, l), lb), ((va, v), vb)) in labels.zip(parts(self.level)) {
+            let mut differs = [0; PASSED];
+            let mut all = 0;
+            for i in 0..PASSED {
+                let sides = (la[i] ^ l[i]) | (l[i] ^ lb[i]);
+                differs[i] = sides | va[i] | v[i] | vb[i];
+                all |= differs[i];
+            }
+            if all != 0 {
+                for (cell, (differs, label)) in (first..).zip(differs.iter().zip(l)) {
+                    if *differs != 0 && *label != NO_RETURN {
+                        cells.push(cell);
+                    }
                 }
             }
-            if differs.iter().fold(0, |all, differs| all | differs) == 0 {
-                continue;
-            }
-            // What is loaded beyond the part is not of it.
-            for (cell, i) in (first as u32..part.end as u32).zip(0..PASSED) {
-                if differs[i] != 0 && labels[i] != NO_RETURN {
-                    cells.push(cell);
-                }
-            }
+            first += PASSED as u32;
+        }
+        for cell in first as usize..self.labels.len() - width {
+            let [above, below] = [cell - width, cell + width];
+            self.list_rim(cell..cell + 1, &[above, below], cells);
         }
     }
 }
 
-/// So many numbers from a place on; zeros where there are no more.
+/// The same columns of three rows of an array each, from its second row on, in whole parts.
 #[inline(always)]
-fn load(array: &[u32], first: usize) -> [u32; PASSED] {
-    let rest = &array[first..];
-    rest.first_chunk().copied().unwrap_or_else(|| {
-        let mut few = [0; PASSED];
-        few[..rest.len()].copy_from_slice(rest);
-        few
-    })
+fn three_rows(array: &[u32], width: usize) -> [&[[u32; PASSED]]; 3] {
+    let count = array.len() - 2 * width;
+    let part = |first: usize| array[first..first + count].as_chunks().0;
+    [part(0), part(width), part(2 * width)]
 }
 
 #[cfg(test)]

@@ -80,11 +80,14 @@ impl Field {
         let [constant, square, fourth] =
             [noise.constant, noise.square, noise.fourth].map(|factor| factor as f32);
         self.gain.resize(self.range.len(), 0.0);
-        for (gain, &range) in self.gain.iter_mut().zip(&self.range) {
-            let r2 = range * range;
-            *gain = range / (constant + r2 * (square + r2 * fourth)).sqrt();
-        }
+        let factors = [constant, square, fourth];
+        Arch::new().dispatch(Gains { range: &self.range, factors, gain: &mut self.gain });
         self.allow_for_turns();
+    }
+
+    /// Cells with a return.
+    pub fn returns(&self) -> usize {
+        Arch::new().dispatch(Count { range: &self.range, least: f32::MIN_POSITIVE }) as usize
     }
 
     /// Weight of a cell in [`Moments`](super::moments::Moments): `r² / σ²`.
@@ -165,7 +168,7 @@ impl Field {
         self.saturated = 0;
         let [_, greatest] = self.extent();
         let limit = (SATURATED * greatest).max(f32::MIN_POSITIVE);
-        let near: u32 = self.range.iter().map(|&range| u32::from(range >= limit)).sum();
+        let near = Arch::new().dispatch(Count { range: &self.range, least: limit });
         if near < FEWEST_SATURATED {
             return;
         }
@@ -270,6 +273,42 @@ impl WithSimd for Extent<'_> {
     }
 }
 
+/// Ranges over their standard deviations, of which the variance has these factors.
+struct Gains<'a> {
+    range: &'a [f32],
+    factors: [f32; 3],
+    gain: &'a mut [f32],
+}
+
+impl WithSimd for Gains<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let [constant, square, fourth] = self.factors;
+        for (gain, &range) in self.gain.iter_mut().zip(self.range) {
+            let r2 = range * range;
+            *gain = range / (constant + r2 * (square + r2 * fourth)).sqrt();
+        }
+    }
+}
+
+/// How many ranges are no less than one.
+struct Count<'a> {
+    range: &'a [f32],
+    least: f32,
+}
+
+impl WithSimd for Count<'_> {
+    type Output = u32;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> u32 {
+        self.range.iter().map(|&range| u32::from(range >= self.least)).sum()
+    }
+}
+
+#[inline]
 fn chord(a: [f32; 3], b: [f32; 3]) -> f32 {
     let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     (x * x + y * y + z * z).sqrt()
@@ -308,12 +347,19 @@ fn median_pitch(
     median(samples).map_or(f32::INFINITY, |pitch| pitch.max(1e-6))
 }
 
+/// So many values are sorted faster than parted.
+const FEW_VALUES: usize = 16;
+
 /// The middle value (the upper of two); reorders `values`.
 pub(super) fn median(values: &mut [f32]) -> Option<f32> {
     if values.is_empty() {
         return None;
     }
     let middle = values.len() / 2;
+    if values.len() <= FEW_VALUES {
+        values.sort_unstable_by(f32::total_cmp);
+        return Some(values[middle]);
+    }
     Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 

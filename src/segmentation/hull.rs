@@ -11,9 +11,6 @@ pub(super) struct HullFinder {
     outer: Vec<u32>,
     /// Cells at the ends of rows and columns.
     ends: Vec<u32>,
-    /// First cell of the first and of the last row in which each column has a cell.
-    tops: Vec<u32>,
-    bottoms: Vec<u32>,
     outermost: Outermost,
     candidates: Vec<[f64; 2]>,
 }
@@ -121,16 +118,15 @@ impl HullFinder {
         self.march(hull);
     }
 
-    /// Lists the first and the last cell of each row and of each column.
+    /// Lists the first and the last cell of each row, and what may be the first or the last of a column:
+    /// the cells of columns that are outside all those between the region's ends in the rows before, or
+    /// after. A column that a row with a gap has left out lies between these rows' ends.
     fn find_ends(
         &mut self,
         width: usize,
         runs: impl DoubleEndedIterator<Item = Range<usize>> + Clone,
     ) {
         self.ends.clear();
-        self.tops.resize(width, u32::MAX);
-        self.bottoms.resize(width, u32::MAX);
-        let (mut left, mut right) = (width, 0);
         let mut row_end = 0;
         for run in runs.clone() {
             // Successive runs of a row end it later each.
@@ -142,23 +138,29 @@ impl HullFinder {
                 row_end = (run.start / width + 1) * width;
                 self.ends.extend([run.start as u32, run.end as u32 - 1]);
             }
-            let row = row_end - width;
-            let columns = run.start - row..run.end - row;
-            (left, right) = (left.min(columns.start), right.max(columns.end));
-            self.bottoms[columns].fill(row as u32);
         }
-        for run in runs.rev() {
-            let row = run.start / width * width;
-            self.tops[run.start - row..run.end - row].fill(row as u32);
-        }
-        for column in left..right {
-            for row in [self.tops[column], self.bottoms[column]] {
-                if row != u32::MAX {
-                    self.ends.push(row + column as u32);
-                }
+        self.list_new_columns(width, runs.clone());
+        self.list_new_columns(width, runs.rev());
+    }
+
+    /// Lists the cells whose columns are beyond those of the rows that were passed.
+    fn list_new_columns(&mut self, width: usize, runs: impl Iterator<Item = Range<usize>>) {
+        // First and end of the columns of the rows before, and with those of the row at hand, whose own
+        // gaps are not passed yet.
+        let (mut seen, mut here) = ((usize::MAX, 0), (usize::MAX, 0));
+        let mut row = 0;
+        for run in runs {
+            if run.start < row || run.start >= row + width {
+                seen = here;
+                row = run.start / width * width;
             }
-            self.tops[column] = u32::MAX;
-            self.bottoms[column] = u32::MAX;
+            let columns = run.start - row..run.end - row;
+            here = (here.0.min(columns.start), here.1.max(columns.end));
+            let left = columns.start..columns.end.min(seen.0);
+            let right = columns.start.max(seen.1).max(left.end)..columns.end;
+            for column in left.chain(right) {
+                self.ends.push((row + column) as u32);
+            }
         }
     }
 }

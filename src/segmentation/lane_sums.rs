@@ -11,32 +11,34 @@ use pulp::{Arch, Simd, WithSimd};
 #[derive(Clone, Debug, Default)]
 pub(super) struct LaneSums {
     width: usize,
-    sums: [Vec<f64>; 3],
+    sums: Vec<[[f64; LANES]; 3]>,
 }
+
+/// Lanes that are added up at a time; a block has some times as many.
+const LANES: usize = 8;
 
 impl LaneSums {
     /// Takes over a block.
     pub fn sum_up(&mut self, block: Block, positions: &[f32]) {
-        self.width = block.width;
-        for sums in &mut self.sums {
-            sums.resize((positions.len() + 1) * block.width, 0.0);
-            sums[..block.width].fill(0.0);
-        }
+        self.width = block.width / LANES;
+        self.sums.resize((positions.len() + 1) * self.width, [[0.0; LANES]; 3]);
         Arch::new().dispatch(SumUp { block, positions, sums: &mut self.sums });
     }
 
     /// The sums of a lane of the block over `begin..end` steps.
     pub fn between(&self, lane: usize, begin: usize, end: usize) -> [f64; 3] {
-        let (low, high) = (begin * self.width + lane, end * self.width + lane);
-        self.sums.each_ref().map(|sums| sums[high] - sums[low])
+        let (part, lane) = (lane / LANES, lane % LANES);
+        let low = &self.sums[begin * self.width + part];
+        let high = &self.sums[end * self.width + part];
+        [high[0][lane] - low[0][lane], high[1][lane] - low[1][lane], high[2][lane] - low[2][lane]]
     }
 }
 
-/// One summation; its loop is over arrays, so that it runs on vectors of any width.
+/// One summation; its loops are over arrays, so that they run on vectors of any width.
 struct SumUp<'a> {
     block: Block<'a>,
     positions: &'a [f32],
-    sums: &'a mut [Vec<f64>; 3],
+    sums: &'a mut [[[f64; LANES]; 3]],
 }
 
 impl WithSimd for SumUp<'_> {
@@ -44,23 +46,23 @@ impl WithSimd for SumUp<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { block: Block { width, inverse }, positions, sums: [first, product, square] } =
-            self;
-        for (step, &position) in positions.iter().enumerate() {
-            let position = f64::from(position);
-            let (before, here) = (step * width, (step + 1) * width);
-            let inverse = &inverse[before..here];
-            let (first, next) = first[before..here + width].split_at_mut(width);
-            for ((sum, next), &f) in first.iter().zip(next).zip(inverse) {
-                *next = sum + f64::from(f);
-            }
-            let (product, next) = product[before..here + width].split_at_mut(width);
-            for ((sum, next), &f) in product.iter().zip(next).zip(inverse) {
-                *next = sum + position * f64::from(f);
-            }
-            let (square, next) = square[before..here + width].split_at_mut(width);
-            for ((sum, next), &f) in square.iter().zip(next).zip(inverse) {
-                *next = sum + f64::from(f) * f64::from(f);
+        let Self { block, positions, sums } = self;
+        let width = block.width / LANES;
+        let (inverse, _) = block.inverse.as_chunks::<LANES>();
+        for part in 0..width {
+            let mut sum = [[0.0; LANES]; 3];
+            sums[part] = sum;
+            let parts = inverse[part..].iter().step_by(width);
+            let ends = sums[width + part..].iter_mut().step_by(width);
+            for ((end, inverse), &position) in ends.zip(parts).zip(positions) {
+                let position = f64::from(position);
+                for lane in 0..LANES {
+                    let f = f64::from(inverse[lane]);
+                    sum[0][lane] += f;
+                    sum[1][lane] += position * f;
+                    sum[2][lane] += f * f;
+                }
+                *end = sum;
             }
         }
     }

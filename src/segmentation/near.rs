@@ -73,8 +73,11 @@ impl Near {
     #[inline(always)]
     pub fn with(&self, label: u32) -> u32 {
         let label = u32x4::splat(label);
-        let [above, beside, below] = self.rows.map(|row| row.simd_eq(label).to_bitmask());
-        (above & 0b111 | (beside & 0b101) << 3 | (below & 0b111) << 6) & ALL
+        let [above, beside, below] = self.rows;
+        let above = above.simd_eq(label).to_bitmask();
+        let beside = beside.simd_eq(label).to_bitmask();
+        let below = below.simd_eq(label).to_bitmask();
+        ((above & 0b111) | (beside & 0b111) << 3 | below << 6) & ALL
     }
 }
 

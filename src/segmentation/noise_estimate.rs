@@ -36,7 +36,7 @@ const FEWEST: f64 = 60.0;
 /// How many samples at most, or a few more, are taken of a scan: of next neighbours, which tell the
 /// variance to 2 %, and of others, which only have to tell whether theirs is much larger.
 const SAMPLES: usize = 10_000;
-const FAR_SAMPLES: usize = 5_000;
+const FAR_SAMPLES: usize = 3_000;
 /// Widest pitch of the differences that tell how far errors are alike: 2.3°, with four of them less
 /// than most things are wide; and in cells.
 const WIDEST_RAD: f32 = 0.04;

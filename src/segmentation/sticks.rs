@@ -257,8 +257,8 @@ impl Sticks {
         let guesses = [guess, count.saturating_sub(2 + guess)];
         let end_at = |t: f64, guess: usize| {
             let range = 1.0 / (middle + slope * t);
-            let ray = self.ray_at(field, lane, [begin, end], (mean_t + t) as f32, guess);
-            ray.map(|u| f64::from(u) * range)
+            let [x, y, z] = self.ray_at(field, lane, [begin, end], (mean_t + t) as f32, guess);
+            [f64::from(x) * range, f64::from(y) * range, f64::from(z) * range]
         };
         let ends = [end_at(-reach, guesses[0]), end_at(reach, guesses[1])];
         // The gain changes smoothly along a stick.
@@ -279,7 +279,7 @@ impl Sticks {
 
     /// The ray of a lane at a position of `begin..end` steps; `guess` is between which of them, counted
     /// from the first, that is about.
-    #[inline]
+    #[inline(always)]
     fn ray_at(
         &self,
         field: &Field,
@@ -306,10 +306,14 @@ impl Sticks {
         let share = (position - positions[step]) * self.per_gap[begin + step];
         let share = share.clamp(0.0, 1.0);
         // Of one line between two rays, whose parts are inverse ranges times coordinates.
-        let pair = at + step * lanes..=at + (step + 1) * lanes;
-        let inverse = &field.inverse[pair.clone()];
-        let (u, v) = ((1.0 - share) * inverse[0], share * inverse[lanes]);
-        let [x, y, z] = [&field.x, &field.y, &field.z].map(|axis| &axis[pair.clone()]);
-        [u * x[0] + v * x[lanes], u * y[0] + v * y[lanes], u * z[0] + v * z[lanes]]
+        let first = at + step * lanes;
+        let ends = |array: &[f32]| {
+            let pair = &array[first..first + lanes + 1];
+            (pair[0], pair[lanes])
+        };
+        let (inverse, x, y, z) =
+            (ends(&field.inverse), ends(&field.x), ends(&field.y), ends(&field.z));
+        let (u, v) = ((1.0 - share) * inverse.0, share * inverse.1);
+        [u * x.0 + v * x.1, u * y.0 + v * y.1, u * z.0 + v * z.1]
     }
 }

@@ -4,7 +4,7 @@ use super::super::config::ShapeLimits;
 use super::super::noise::ReadingErrors;
 use super::cylinder::{CylinderFit, fit_cylinder, improve_cylinder, settle_cylinder};
 use super::plane::fit_plane;
-use super::round::capped_error_of;
+use super::round::{capped_error_of, mean_square_distance_of};
 use super::sphere::{SphereFit, fit_sphere, improve_sphere, settle_sphere};
 use super::{CAP, Fitted, Model, PlaneFit, Readings};
 use super::{cylinder, sphere};
@@ -193,6 +193,18 @@ fn capped_error(readings: &Readings, model: &Model) -> f64 {
         }
     };
     capped_error_of(&readings.rays_by_column, round)
+}
+
+/// Mean square of the distances of the readings from a sphere or a cylinder, in m²; `None` for others.
+pub(in super::super) fn mean_square_distance(readings: &Readings, fitted: &Fitted) -> Option<f64> {
+    let round = match fitted {
+        Fitted::Sphere { centre, radius_m, .. } => sphere::round_of(&centre.coords, *radius_m),
+        Fitted::Cylinder { axis_point, axis, radius_m, .. } => {
+            cylinder::round_of(&axis_point.coords, axis, *radius_m)
+        }
+        Fitted::Plane(_) | Fitted::Other => return None,
+    };
+    Some(mean_square_distance_of(&readings.rays_by_column, round))
 }
 
 /// Whether `count` errors on a plane, whose squares cut at [`CAP`]² sum up to `error`, are not those

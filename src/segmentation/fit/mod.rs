@@ -13,7 +13,9 @@ mod round;
 mod sphere;
 mod sums;
 
-pub(super) use choose::{choose, improve_model, is_flat, settle, settle_known, settle_model};
+pub(super) use choose::{
+    choose, improve_model, is_flat, mean_square_distance, settle, settle_known, settle_model,
+};
 pub(super) use cylinder::across;
 pub(super) use packed::Packed;
 pub(super) use plane::{PlaneFit, centroid_of, fit_plane, plane_of};

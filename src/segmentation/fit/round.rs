@@ -6,23 +6,34 @@
 use super::{CAP, LEAST_COSINE, NormalSums, Phase, RIM_COSINE};
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 
-/// Readings as arrays: points, rays and one over the standard deviation of the range.
+/// Readings that are kept together; as many as the vectors of any processor can share.
+const BLOCK: usize = 8;
+
+/// Readings by coordinate: points, rays and one over the standard deviation of the range, of which the
+/// last block's places without a reading have zero.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RayColumns {
-    values: [Vec<f64>; 7],
+    blocks: Vec<[[f64; BLOCK]; 7]>,
+    count: usize,
 }
 
 impl RayColumns {
     pub fn clear(&mut self) {
-        for column in &mut self.values {
-            column.clear();
-        }
+        self.blocks.clear();
+        self.count = 0;
     }
 
     pub fn push(&mut self, point: [f64; 3], ray: [f64; 3], sigma: f64) {
+        let place = self.count % BLOCK;
+        if place == 0 {
+            self.blocks.push([[0.0; BLOCK]; 7]);
+        }
+        self.count += 1;
         let ([x, y, z], [u, v, w]) = (point, ray);
-        for (column, value) in self.values.iter_mut().zip([x, y, z, u, v, w, 1.0 / sigma]) {
-            column.push(value);
+        if let Some(block) = self.blocks.last_mut() {
+            for (column, value) in block.iter_mut().zip([x, y, z, u, v, w, 1.0 / sigma]) {
+                column[place] = value;
+            }
         }
     }
 }
@@ -48,7 +59,7 @@ pub(super) struct RoundSums<const N: usize> {
     pub count: f64,
 }
 
-/// Sums over every so-many-th vector of readings.
+/// Sums over every so-many-th block of readings.
 ///
 /// With N = 4 the parameters are a sphere's centre and radius. With N = 5 they are a cylinder's: moving
 /// the axis by a and tilting it by b (per metre of height) moves it at a reading by a + height b; the
@@ -65,6 +76,11 @@ pub(super) fn sum_round<const N: usize>(
 /// Sum of the squared errors across a surface, each cut at [`CAP`].
 pub(super) fn capped_error_of(columns: &RayColumns, round: Round) -> f64 {
     run(Capped { columns, round })
+}
+
+/// Mean square of the distances from a surface, in m².
+pub(super) fn mean_square_distance_of(columns: &RayColumns, round: Round) -> f64 {
+    run(Distances { columns, round }) / columns.count.max(1) as f64
 }
 
 fn run<W: WithSimd>(work: W) -> W::Output {
@@ -86,6 +102,11 @@ struct Capped<'a> {
     round: Round,
 }
 
+struct Distances<'a> {
+    columns: &'a RayColumns,
+    round: Round,
+}
+
 /// A vector of readings; places without one have zeros.
 #[derive(Clone, Copy)]
 struct Readings<V> {
@@ -94,28 +115,25 @@ struct Readings<V> {
     per_sigma: V,
 }
 
+/// The vectors of every so-many-th block.
 #[inline(always)]
-fn load<S: Simd>(simd: S, columns: &RayColumns, at: usize) -> Readings<S::f64s> {
-    let [x, y, z, u, v, w, per_sigma] = &columns.values;
-    Readings {
-        point: [one(simd, x, at), one(simd, y, at), one(simd, z, at)],
-        ray: [one(simd, u, at), one(simd, v, at), one(simd, w, at)],
-        per_sigma: one(simd, per_sigma, at),
-    }
+fn vectors<S: Simd>(
+    columns: &RayColumns,
+    stride: usize,
+) -> impl Iterator<Item = Readings<S::f64s>> + '_ {
+    columns.blocks.iter().step_by(stride).flat_map(|block| {
+        let [x, y, z, u, v, w, per_sigma] = block;
+        (0..BLOCK / S::F64_LANES).map(move |at| Readings {
+            point: [one::<S>(x, at), one::<S>(y, at), one::<S>(z, at)],
+            ray: [one::<S>(u, at), one::<S>(v, at), one::<S>(w, at)],
+            per_sigma: one::<S>(per_sigma, at),
+        })
+    })
 }
 
 #[inline(always)]
-fn one<S: Simd>(simd: S, column: &[f64], at: usize) -> S::f64s {
-    let (whole, rest) = S::as_simd_f64s(column);
-    match whole.get(at) {
-        Some(&vector) => vector,
-        None => simd.partial_load_f64s(rest),
-    }
-}
-
-#[inline(always)]
-fn vectors<S: Simd>(columns: &RayColumns) -> usize {
-    columns.values[0].len().div_ceil(S::F64_LANES)
+fn one<S: Simd>(column: &[f64; BLOCK], at: usize) -> S::f64s {
+    S::as_simd_f64s(column).0[at]
 }
 
 #[inline(always)]
@@ -251,8 +269,7 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
         let mut products = [[zero; N]; N];
         let mut right = [zero; N];
         let (mut square, mut count) = (zero, zero);
-        for at in (0..vectors::<S>(columns)).step_by(stride) {
-            let readings = load(simd, columns, at);
+        for readings in vectors::<S>(columns, stride) {
             let mut counts = simd.greater_than_f64s(readings.per_sigma, zero);
             let seen = if phase == Phase::Rays {
                 let (seen, enters) = along(simd, &surface, &readings);
@@ -309,13 +326,32 @@ impl WithSimd for Capped<'_> {
         let Self { columns, round } = self;
         let surface = spread(simd, &round);
         let mut sum = simd.splat_f64s(0.0);
-        for at in 0..vectors::<S>(columns) {
-            let readings = load(simd, columns, at);
+        for readings in vectors::<S>(columns, 1) {
             let seen = across(simd, &surface, &readings, false);
             // Nothing where there is no reading.
             let error = simd.mul_f64s(seen.error_m, readings.per_sigma);
             let square = simd.min_f64s(simd.mul_f64s(error, error), simd.splat_f64s(CAP * CAP));
             sum = simd.add_f64s(sum, square);
+        }
+        simd.reduce_sum_f64s(sum)
+    }
+}
+
+impl WithSimd for Distances<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
+        let Self { columns, round } = self;
+        let surface = spread(simd, &round);
+        let zero = simd.splat_f64s(0.0);
+        let mut sum = zero;
+        for readings in vectors::<S>(columns, 1) {
+            let seen = across(simd, &surface, &readings, false);
+            let distance = simd.mul_f64s(seen.error_m, seen.cosine);
+            let counts = simd.greater_than_f64s(readings.per_sigma, zero);
+            let distance = simd.select_f64s(counts, distance, zero);
+            sum = simd.mul_add_e_f64s(distance, distance, sum);
         }
         simd.reduce_sum_f64s(sum)
     }
