@@ -29,11 +29,12 @@ impl Packed {
         while at < end && self.count < FULL {
             let count = COPIED.min(end - at).min(FULL - self.count);
             for (packed, column) in self.columns.iter_mut().zip(columns) {
-                let packed = &mut packed[self.count..self.count + COPIED];
                 // What is copied beyond the end gives way to the next.
-                match column.get(at..at + COPIED) {
-                    Some(whole) => packed.copy_from_slice(whole),
-                    None => packed[..count].copy_from_slice(&column[at..at + count]),
+                let room = packed[self.count..].first_chunk_mut::<COPIED>();
+                match (room, column[at..].first_chunk::<COPIED>()) {
+                    (Some(room), Some(whole)) => *room = *whole,
+                    _ => packed[self.count..self.count + count]
+                        .copy_from_slice(&column[at..at + count]),
                 }
             }
             self.count += count;

@@ -13,7 +13,7 @@ const BLOCK: usize = 8;
 /// last block's places without a reading have zero.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RayColumns {
-    blocks: Vec<[[f64; BLOCK]; 7]>,
+    blocks: Vec<[[f32; BLOCK]; 7]>,
     count: usize,
 }
 
@@ -32,7 +32,7 @@ impl RayColumns {
         let ([x, y, z], [u, v, w]) = (point, ray);
         if let Some(block) = self.blocks.last_mut() {
             for (column, value) in block.iter_mut().zip([x, y, z, u, v, w, 1.0 / sigma]) {
-                column[place] = value;
+                column[place] = value as f32;
             }
         }
     }
@@ -115,51 +115,46 @@ struct Readings<V> {
     per_sigma: V,
 }
 
-/// The vectors of every so-many-th block.
+/// A vector of a block.
 #[inline(always)]
-fn vectors<S: Simd>(
-    columns: &RayColumns,
-    stride: usize,
-) -> impl Iterator<Item = Readings<S::f64s>> + '_ {
-    columns.blocks.iter().step_by(stride).flat_map(|block| {
-        let [x, y, z, u, v, w, per_sigma] = block;
-        (0..BLOCK / S::F64_LANES).map(move |at| Readings {
-            point: [one::<S>(x, at), one::<S>(y, at), one::<S>(z, at)],
-            ray: [one::<S>(u, at), one::<S>(v, at), one::<S>(w, at)],
-            per_sigma: one::<S>(per_sigma, at),
-        })
-    })
+fn load<S: Simd>(block: &[[f32; BLOCK]; 7], at: usize) -> Readings<S::f32s> {
+    let [x, y, z, u, v, w, per_sigma] = block;
+    Readings {
+        point: [one::<S>(x, at), one::<S>(y, at), one::<S>(z, at)],
+        ray: [one::<S>(u, at), one::<S>(v, at), one::<S>(w, at)],
+        per_sigma: one::<S>(per_sigma, at),
+    }
 }
 
 #[inline(always)]
-fn one<S: Simd>(column: &[f64; BLOCK], at: usize) -> S::f64s {
-    S::as_simd_f64s(column).0[at]
+fn one<S: Simd>(column: &[f32; BLOCK], at: usize) -> S::f32s {
+    S::as_simd_f32s(column).0[at]
 }
 
 #[inline(always)]
-fn splat<S: Simd>(simd: S, [x, y, z]: [f64; 3]) -> [S::f64s; 3] {
-    [simd.splat_f64s(x), simd.splat_f64s(y), simd.splat_f64s(z)]
+fn splat<S: Simd>(simd: S, [x, y, z]: [f64; 3]) -> [S::f32s; 3] {
+    [simd.splat_f32s(x as f32), simd.splat_f32s(y as f32), simd.splat_f32s(z as f32)]
 }
 
 #[inline(always)]
-fn dot<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3]) -> S::f64s {
-    let xy = simd.mul_add_e_f64s(a[0], b[0], simd.mul_f64s(a[1], b[1]));
-    simd.mul_add_e_f64s(a[2], b[2], xy)
+fn dot<S: Simd>(simd: S, a: [S::f32s; 3], b: [S::f32s; 3]) -> S::f32s {
+    let xy = simd.mul_add_e_f32s(a[0], b[0], simd.mul_f32s(a[1], b[1]));
+    simd.mul_add_e_f32s(a[2], b[2], xy)
 }
 
 /// `a - b · factor`.
 #[inline(always)]
-fn less<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3], factor: S::f64s) -> [S::f64s; 3] {
+fn less<S: Simd>(simd: S, a: [S::f32s; 3], b: [S::f32s; 3], factor: S::f32s) -> [S::f32s; 3] {
     [
-        simd.sub_f64s(a[0], simd.mul_f64s(b[0], factor)),
-        simd.sub_f64s(a[1], simd.mul_f64s(b[1], factor)),
-        simd.sub_f64s(a[2], simd.mul_f64s(b[2], factor)),
+        simd.sub_f32s(a[0], simd.mul_f32s(b[0], factor)),
+        simd.sub_f32s(a[1], simd.mul_f32s(b[1], factor)),
+        simd.sub_f32s(a[2], simd.mul_f32s(b[2], factor)),
     ]
 }
 
 #[inline(always)]
-fn scaled<S: Simd>(simd: S, a: [S::f64s; 3], factor: S::f64s) -> [S::f64s; 3] {
-    [simd.mul_f64s(a[0], factor), simd.mul_f64s(a[1], factor), simd.mul_f64s(a[2], factor)]
+fn scaled<S: Simd>(simd: S, a: [S::f32s; 3], factor: S::f32s) -> [S::f32s; 3] {
+    [simd.mul_f32s(a[0], factor), simd.mul_f32s(a[1], factor), simd.mul_f32s(a[2], factor)]
 }
 
 /// A surface in every place of a vector.
@@ -172,13 +167,13 @@ struct Splat<V> {
 }
 
 #[inline(always)]
-fn spread<S: Simd>(simd: S, round: &Round) -> Splat<S::f64s> {
+fn spread<S: Simd>(simd: S, round: &Round) -> Splat<S::f32s> {
     Splat {
         foot: splat(simd, round.foot),
         axis: splat(simd, round.axis),
-        radius: simd.splat_f64s(round.radius_m),
-        per_radius: simd.splat_f64s(1.0 / round.radius_m),
-        one: simd.splat_f64s(1.0),
+        radius: simd.splat_f32s(round.radius_m as f32),
+        per_radius: simd.splat_f32s((1.0 / round.radius_m) as f32),
+        one: simd.splat_f32s(1.0),
     }
 }
 
@@ -197,41 +192,41 @@ struct Seen<V> {
 #[inline(always)]
 fn across<S: Simd>(
     simd: S,
-    surface: &Splat<S::f64s>,
-    readings: &Readings<S::f64s>,
+    surface: &Splat<S::f32s>,
+    readings: &Readings<S::f32s>,
     bends: bool,
-) -> Seen<S::f64s> {
+) -> Seen<S::f32s> {
     let d = less(simd, readings.point, surface.foot, surface.one);
     let height = dot(simd, surface.axis, d);
     let radial = less(simd, d, surface.axis, height);
-    let length = simd.sqrt_f64s(dot(simd, radial, radial));
-    let length = simd.max_f64s(length, simd.splat_f64s(1e-9));
-    let per_length = simd.div_f64s(surface.one, length);
+    let length = simd.sqrt_f32s(dot(simd, radial, radial));
+    let length = simd.max_f32s(length, simd.splat_f32s(1e-9));
+    let per_length = simd.div_f32s(surface.one, length);
     let normal = scaled(simd, radial, per_length);
-    let cosine = simd.abs_f64s(dot(simd, normal, readings.ray));
-    let cosine = simd.max_f64s(cosine, simd.splat_f64s(LEAST_COSINE));
-    let mut distance = simd.sub_f64s(length, surface.radius);
+    let cosine = simd.abs_f32s(dot(simd, normal, readings.ray));
+    let cosine = simd.max_f32s(cosine, simd.splat_f32s(LEAST_COSINE as f32));
+    let mut distance = simd.sub_f32s(length, surface.radius);
     if bends {
         let lengthwise = dot(simd, surface.axis, readings.ray);
         let along =
-            simd.add_f64s(simd.mul_f64s(lengthwise, lengthwise), simd.mul_f64s(cosine, cosine));
-        let sideways = simd.max_f64s(simd.sub_f64s(surface.one, along), simd.splat_f64s(0.0));
+            simd.add_f32s(simd.mul_f32s(lengthwise, lengthwise), simd.mul_f32s(cosine, cosine));
+        let sideways = simd.max_f32s(simd.sub_f32s(surface.one, along), simd.splat_f32s(0.0));
         // Places without a reading have an infinite deviation here, and do not count.
-        let sigma = simd.div_f64s(surface.one, readings.per_sigma);
-        let variance = simd.mul_f64s(simd.mul_f64s(sigma, sigma), simd.splat_f64s(0.5));
-        let bend = simd.mul_f64s(simd.mul_f64s(variance, sideways), per_length);
-        distance = simd.sub_f64s(distance, bend);
+        let sigma = simd.div_f32s(surface.one, readings.per_sigma);
+        let variance = simd.mul_f32s(simd.mul_f32s(sigma, sigma), simd.splat_f32s(0.5));
+        let bend = simd.mul_f32s(simd.mul_f32s(variance, sideways), per_length);
+        distance = simd.sub_f32s(distance, bend);
     }
-    Seen { normal, height, cosine, error_m: simd.div_f64s(distance, cosine) }
+    Seen { normal, height, cosine, error_m: simd.div_f32s(distance, cosine) }
 }
 
 /// By where their rays enter it, and whether they do.
 #[inline(always)]
 fn along<S: Simd>(
     simd: S,
-    surface: &Splat<S::f64s>,
-    readings: &Readings<S::f64s>,
-) -> (Seen<S::f64s>, S::m64s) {
+    surface: &Splat<S::f32s>,
+    readings: &Readings<S::f32s>,
+) -> (Seen<S::f32s>, S::m32s) {
     let lengthwise = dot(simd, surface.axis, readings.ray);
     let sideways = less(simd, readings.ray, surface.axis, lengthwise);
     let foot_height = dot(simd, surface.axis, surface.foot);
@@ -240,18 +235,18 @@ fn along<S: Simd>(
     let middle = dot(simd, sideways, centre);
     let beside = less(simd, scaled(simd, centre, speed), sideways, middle);
     // Of the circle, in units of the speed: R² less the square of how far the ray passes its centre.
-    let per_speed = simd.div_f64s(surface.one, speed);
+    let per_speed = simd.div_f32s(surface.one, speed);
     let passes = scaled(simd, beside, per_speed);
     let square =
-        simd.sub_f64s(simd.mul_f64s(surface.radius, surface.radius), dot(simd, passes, passes));
-    let enters = simd.greater_than_f64s(square, simd.splat_f64s(0.0));
-    let reach = simd.sqrt_f64s(simd.mul_f64s(square, speed));
-    let range = simd.mul_f64s(simd.sub_f64s(middle, reach), per_speed);
+        simd.sub_f32s(simd.mul_f32s(surface.radius, surface.radius), dot(simd, passes, passes));
+    let enters = simd.greater_than_f32s(square, simd.splat_f32s(0.0));
+    let reach = simd.sqrt_f32s(simd.mul_f32s(square, speed));
+    let range = simd.mul_f32s(simd.sub_f32s(middle, reach), per_speed);
     let from_centre = less(simd, scaled(simd, sideways, range), centre, surface.one);
     let normal = scaled(simd, from_centre, surface.per_radius);
-    let cosine = simd.neg_f64s(dot(simd, normal, readings.ray));
-    let height = simd.sub_f64s(simd.mul_f64s(lengthwise, range), foot_height);
-    let error_m = simd.sub_f64s(range, dot(simd, readings.point, readings.ray));
+    let cosine = simd.neg_f32s(dot(simd, normal, readings.ray));
+    let height = simd.sub_f32s(simd.mul_f32s(lengthwise, range), foot_height);
+    let error_m = simd.sub_f32s(range, dot(simd, readings.point, readings.ray));
     (Seen { normal, height, cosine, error_m }, enters)
 }
 
@@ -264,56 +259,61 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
         let surface = spread(simd, &round);
         let [e1, e2, e3] = round.sides;
         let sides = [splat(simd, e1), splat(simd, e2), splat(simd, e3)];
-        let zero = simd.splat_f64s(0.0);
-        let (gate, rim) = (simd.splat_f64s(phase.gate()), simd.splat_f64s(RIM_COSINE));
+        let zero = simd.splat_f32s(0.0);
+        let (gate, rim) =
+            (simd.splat_f32s(phase.gate() as f32), simd.splat_f32s(RIM_COSINE as f32));
         let mut products = [[zero; N]; N];
         let mut right = [zero; N];
         let (mut square, mut count) = (zero, zero);
-        for readings in vectors::<S>(columns, stride) {
-            let mut counts = simd.greater_than_f64s(readings.per_sigma, zero);
-            let seen = if phase == Phase::Rays {
-                let (seen, enters) = along(simd, &surface, &readings);
-                counts = simd.and_m64s(counts, enters);
-                seen
-            } else {
-                across(simd, &surface, &readings, true)
-            };
-            let error = simd.mul_f64s(seen.error_m, readings.per_sigma);
-            let inside = simd.less_than_or_equal_f64s(simd.abs_f64s(error), gate);
-            counts = simd.and_m64s(counts, inside);
-            if phase != Phase::Start {
-                let steep = simd.greater_than_or_equal_f64s(seen.cosine, rim);
-                counts = simd.and_m64s(counts, steep);
-            }
-            let error = simd.select_f64s(counts, error, zero);
-            let scale = simd.div_f64s(readings.per_sigma, seen.cosine);
-            let mut derivatives = [zero; N];
-            for k in 0..if N == 4 { 3 } else { 2 } {
-                let moved = simd.mul_f64s(dot(simd, seen.normal, sides[k]), scale);
-                derivatives[k] = simd.select_f64s(counts, moved, zero);
-                if N == 5 {
-                    let tilted = simd.mul_f64s(seen.height, moved);
-                    derivatives[k + 2] = simd.select_f64s(counts, tilted, zero);
+        for block in columns.blocks.iter().step_by(stride) {
+            for at in 0..BLOCK / S::F32_LANES {
+                let readings = load::<S>(block, at);
+                let mut counts = simd.greater_than_f32s(readings.per_sigma, zero);
+                let seen = if phase == Phase::Rays {
+                    let (seen, enters) = along(simd, &surface, &readings);
+                    counts = simd.and_m32s(counts, enters);
+                    seen
+                } else {
+                    across(simd, &surface, &readings, true)
+                };
+                let error = simd.mul_f32s(seen.error_m, readings.per_sigma);
+                let inside = simd.less_than_or_equal_f32s(simd.abs_f32s(error), gate);
+                counts = simd.and_m32s(counts, inside);
+                if phase != Phase::Start {
+                    let steep = simd.greater_than_or_equal_f32s(seen.cosine, rim);
+                    counts = simd.and_m32s(counts, steep);
                 }
-            }
-            derivatives[N - 1] = simd.select_f64s(counts, scale, zero);
-            for (a, &own) in derivatives.iter().enumerate() {
-                for (sum, &other) in products[a].iter_mut().zip(&derivatives).skip(a) {
-                    *sum = simd.mul_add_e_f64s(own, other, *sum);
+                let error = simd.select_f32s(counts, error, zero);
+                let scale = simd.div_f32s(readings.per_sigma, seen.cosine);
+                let mut derivatives = [zero; N];
+                for k in 0..if N == 4 { 3 } else { 2 } {
+                    let moved = simd.mul_f32s(dot(simd, seen.normal, sides[k]), scale);
+                    derivatives[k] = simd.select_f32s(counts, moved, zero);
+                    if N == 5 {
+                        let tilted = simd.mul_f32s(seen.height, moved);
+                        derivatives[k + 2] = simd.select_f32s(counts, tilted, zero);
+                    }
                 }
-                right[a] = simd.mul_add_e_f64s(own, error, right[a]);
+                derivatives[N - 1] = simd.select_f32s(counts, scale, zero);
+                for (a, &own) in derivatives.iter().enumerate() {
+                    for (sum, &other) in products[a].iter_mut().zip(&derivatives).skip(a) {
+                        *sum = simd.mul_add_e_f32s(own, other, *sum);
+                    }
+                    right[a] = simd.mul_add_e_f32s(own, error, right[a]);
+                }
+                square = simd.mul_add_e_f32s(error, error, square);
+                count = simd.add_f32s(count, simd.select_f32s(counts, surface.one, zero));
             }
-            square = simd.mul_add_e_f64s(error, error, square);
-            count = simd.add_f64s(count, simd.select_f64s(counts, surface.one, zero));
         }
         let mut normal = NormalSums { products: [[0.0; N]; N], right: [0.0; N] };
         for (a, (row, lanes)) in normal.products.iter_mut().zip(&products).enumerate() {
             for (sum, &lanes) in row.iter_mut().zip(lanes).skip(a) {
-                *sum = simd.reduce_sum_f64s(lanes);
+                *sum = f64::from(simd.reduce_sum_f32s(lanes));
             }
-            normal.right[a] = simd.reduce_sum_f64s(right[a]);
+            normal.right[a] = f64::from(simd.reduce_sum_f32s(right[a]));
         }
-        let (square, count) = (simd.reduce_sum_f64s(square), simd.reduce_sum_f64s(count));
+        let square = f64::from(simd.reduce_sum_f32s(square));
+        let count = f64::from(simd.reduce_sum_f32s(count));
         RoundSums { normal, square, count }
     }
 }
@@ -325,15 +325,19 @@ impl WithSimd for Capped<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let Self { columns, round } = self;
         let surface = spread(simd, &round);
-        let mut sum = simd.splat_f64s(0.0);
-        for readings in vectors::<S>(columns, 1) {
-            let seen = across(simd, &surface, &readings, false);
-            // Nothing where there is no reading.
-            let error = simd.mul_f64s(seen.error_m, readings.per_sigma);
-            let square = simd.min_f64s(simd.mul_f64s(error, error), simd.splat_f64s(CAP * CAP));
-            sum = simd.add_f64s(sum, square);
+        let mut sum = simd.splat_f32s(0.0);
+        for block in &columns.blocks {
+            for at in 0..BLOCK / S::F32_LANES {
+                let readings = load::<S>(block, at);
+                let seen = across(simd, &surface, &readings, false);
+                // Nothing where there is no reading.
+                let error = simd.mul_f32s(seen.error_m, readings.per_sigma);
+                let square =
+                    simd.min_f32s(simd.mul_f32s(error, error), simd.splat_f32s((CAP * CAP) as f32));
+                sum = simd.add_f32s(sum, square);
+            }
         }
-        simd.reduce_sum_f64s(sum)
+        f64::from(simd.reduce_sum_f32s(sum))
     }
 }
 
@@ -344,15 +348,18 @@ impl WithSimd for Distances<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let Self { columns, round } = self;
         let surface = spread(simd, &round);
-        let zero = simd.splat_f64s(0.0);
+        let zero = simd.splat_f32s(0.0);
         let mut sum = zero;
-        for readings in vectors::<S>(columns, 1) {
-            let seen = across(simd, &surface, &readings, false);
-            let distance = simd.mul_f64s(seen.error_m, seen.cosine);
-            let counts = simd.greater_than_f64s(readings.per_sigma, zero);
-            let distance = simd.select_f64s(counts, distance, zero);
-            sum = simd.mul_add_e_f64s(distance, distance, sum);
+        for block in &columns.blocks {
+            for at in 0..BLOCK / S::F32_LANES {
+                let readings = load::<S>(block, at);
+                let seen = across(simd, &surface, &readings, false);
+                let distance = simd.mul_f32s(seen.error_m, seen.cosine);
+                let counts = simd.greater_than_f32s(readings.per_sigma, zero);
+                let distance = simd.select_f32s(counts, distance, zero);
+                sum = simd.mul_add_e_f32s(distance, distance, sum);
+            }
         }
-        simd.reduce_sum_f64s(sum)
+        f64::from(simd.reduce_sum_f32s(sum))
     }
 }
