@@ -390,24 +390,23 @@ fn push_stick(readings: &mut Readings, stick: &Stick, errors: &ReadingErrors) {
     }
 }
 
-/// Errors of the ends of a stick in standard deviations of one reading.
-fn deviations(model: &Model, stick: &Stick) -> [f64; 2] {
-    stick.ends.map(|end| {
-        let p = Vector3::from(end);
-        let range = p.norm();
-        let (distance, normal) = model.distance(&p);
-        let cosine = (normal.dot(&p) / range).abs().max(LEAST_COSINE);
-        distance / (cosine * range) * stick.gain.sqrt()
-    })
+/// Error of an end of a stick, relative to the range.
+#[inline]
+fn deviation(model: &Model, end: [f64; 3]) -> f64 {
+    let p = Vector3::from(end);
+    let range = p.norm();
+    let (distance, normal) = model.distance(&p);
+    // The cosine of incidence is that of the normal and the ray, times the range.
+    distance / normal.dot(&p).abs().max(LEAST_COSINE * range)
 }
 
 fn fits(model: &Model, stick: &Stick, errors: &ReadingErrors) -> bool {
     let gate = GATE * errors.mean_variance(0.5 * stick.n).sqrt() + SLACK;
-    deviations(model, stick).iter().all(|d| d.abs() < gate)
+    stick.ends.iter().all(|&end| deviation(model, end).powi(2) * stick.gain < gate * gate)
 }
 
 fn stick_error(model: &Model, stick: &Stick) -> f64 {
-    deviations(model, stick).iter().map(|d| 0.5 * stick.n * d * d).sum()
+    stick.ends.iter().map(|&end| stick.weight * deviation(model, end).powi(2)).sum()
 }
 
 /// The cylinder along `axis` whose circle fits the readings algebraically.

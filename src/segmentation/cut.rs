@@ -29,14 +29,13 @@ const UNEVEN: f32 = 1e-3;
 /// Vectors in a block: what is the same for all lanes is loaded once for them.
 const VECTORS: usize = 2;
 
-/// Buffers of the cut. What is kept of cells stands block after block of lanes, each from its first
-/// step on, and each step's lanes together; the last block is filled up with cells without a return.
+/// Buffers of the cut, which goes block after block of lanes: what is kept of cells is that of one block,
+/// step after step, each step's lanes together. So it stays near the processor.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Cutter {
     /// Lanes of a block.
-    pub width: usize,
-    steps: usize,
-    /// Inverse ranges, per metre.
+    width: usize,
+    /// Inverse ranges, per metre; zero without a return, and beyond the last lane.
     inverse: Vec<f32>,
     /// One over the noise of the inverse range at each cell.
     sharpness: Vec<f32>,
@@ -44,8 +43,9 @@ pub(super) struct Cutter {
     cost: Vec<f32>,
     /// Length, less one, of the run that ends at each cell, if one does.
     length: Vec<u32>,
-    /// For runs of two cells on.
+    /// For runs of two cells on, and where those of each step begin.
     tables: Vec<Table>,
+    table_of: Vec<u32>,
 }
 
 /// What depends on the positions of a run's steps alone, the same for all lanes.
@@ -66,30 +66,42 @@ struct Table {
 }
 
 impl Cutter {
-    /// Cuts all lanes of a field.
-    pub fn cut(&mut self, field: &Field) {
-        let cut = Cut { cutter: self, field };
+    /// Takes over the positions of a field's steps.
+    pub fn start(&mut self, field: &Field) {
+        self.tables.clear();
+        self.table_of.clear();
+        let mut first = 0;
+        for step in 0..field.steps {
+            if !holds(&self.tables[first..], &field.positions, step) {
+                first = self.tables.len();
+                make_tables(&mut self.tables, &field.positions, step);
+            }
+            self.table_of.push(first as u32);
+        }
+    }
+
+    /// Cuts a block of lanes from one on, and returns how many these are; there may be fewer.
+    pub fn cut(&mut self, field: &Field, lane: usize) -> usize {
+        let cut = Cut { cutter: self, field, lane };
         match Arch::new() {
             // Four at a time is what any processor does well.
             Arch::Scalar => Scalar128b.vectorize(cut),
             arch => arch.dispatch(cut),
         }
+        self.width
     }
 
-    /// The block that begins with a lane.
-    pub fn block(&self, lane: usize) -> Block<'_> {
-        let first = lane * self.steps;
-        let inverse = &self.inverse[first..first + self.steps * self.width];
-        Block { width: self.width, inverse }
+    /// Inverse ranges of the block, step by step.
+    pub fn inverse(&self) -> &[f32] {
+        &self.inverse
     }
 
-    /// Passes the first and the last step of each run of a lane, from the last run on; runs without a
-    /// return are none.
+    /// Passes the first and the last step of each run of a lane of the block, from the last run on; runs
+    /// without a return are none.
     pub fn for_each_run(&self, lane: usize, mut pass: impl FnMut([u32; 2])) {
-        let first = lane / self.width * self.steps * self.width + lane % self.width;
-        let mut end = self.steps;
+        let mut end = self.inverse.len() / self.width;
         while end > 0 {
-            let place = first + (end - 1) * self.width;
+            let place = (end - 1) * self.width + lane;
             let begin = end - (self.length[place] as usize + 1).min(end);
             if self.inverse[place] > 0.0 {
                 pass([begin as u32, end as u32 - 1]);
@@ -99,17 +111,11 @@ impl Cutter {
     }
 }
 
-/// A block of lanes: how many, and their inverse ranges, step by step.
-#[derive(Clone, Copy)]
-pub(super) struct Block<'a> {
-    pub width: usize,
-    pub inverse: &'a [f32],
-}
-
-/// One cut, for vectors of some width.
+/// The cut of one block, for vectors of some width.
 struct Cut<'a> {
     cutter: &'a mut Cutter,
     field: &'a Field,
+    lane: usize,
 }
 
 impl WithSimd for Cut<'_> {
@@ -117,48 +123,32 @@ impl WithSimd for Cut<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { cutter, field } = self;
+        let Self { cutter, field, lane } = self;
         let (width, steps) = (VECTORS * S::F32_LANES, field.steps);
-        let blocks = field.lanes.div_ceil(width);
-        (cutter.width, cutter.steps) = (width, steps);
-        let cells = blocks * steps * width;
-        cutter.inverse.resize(cells, 0.0);
-        cutter.sharpness.resize(cells, 0.0);
-        cutter.length.resize(cells, 0);
-        cutter.cost.resize(cells + blocks * width, PRICE);
-        for block in 0..blocks {
-            let first = block * (steps + 1) * width;
-            cutter.cost[first..first + width].fill(PRICE);
-        }
-        load(simd, cutter, field);
-        let Cutter { inverse, sharpness, cost, length, tables, .. } = cutter;
+        cutter.width = width;
+        cutter.inverse.resize(steps * width, 0.0);
+        cutter.sharpness.resize(steps * width, 0.0);
+        cutter.length.resize(steps * width, 0);
+        cutter.cost.resize((steps + 1) * width, 0.0);
+        load(simd, cutter, field, lane);
+        let Cutter { inverse, sharpness, cost, length, tables, table_of, .. } = cutter;
         let (inverse, _) = S::as_simd_f32s(inverse).0.as_chunks::<VECTORS>();
         let (sharpness, _) = S::as_simd_f32s(sharpness).0.as_chunks::<VECTORS>();
         let (cost, _) = S::as_mut_simd_f32s(cost).0.as_chunks_mut::<VECTORS>();
         let (length, _) = S::as_mut_simd_u32s(length).0.as_chunks_mut::<VECTORS>();
-        tables.clear();
-        for step in 0..steps {
-            let count = step.min(LONGEST - 1);
-            if !holds(tables, &field.positions, step) {
-                make_tables(tables, &field.positions, step);
+        cost[0] = [simd.splat_f32s(PRICE); VECTORS];
+        for (step, &table) in table_of.iter().enumerate() {
+            if is_empty(simd, sharpness[step]) {
+                cost[step + 1] = cost[step];
+                length[step] = [simd.splat_u32s(0); VECTORS];
+                continue;
             }
-            let tables = &tables[..count];
-            for block in 0..blocks {
-                let here = block * steps + step;
-                // Each block has a cost more than it has steps.
-                let before = here + block;
-                if is_empty(simd, sharpness[here]) {
-                    cost[before + 1] = cost[before];
-                    length[here] = [simd.splat_u32s(0); VECTORS];
-                    continue;
-                }
-                let past = &inverse[here - tables.len()..here];
-                let costs = &cost[before - tables.len()..before];
-                let runs = Runs { tables, past, costs };
-                let (best, bits) = extend(simd, runs, cost[before], inverse[here], sharpness[here]);
-                cost[before + 1] = best;
-                length[here] = bits;
-            }
+            let first = step - step.min(LONGEST - 1);
+            let tables = &tables[table as usize..][..step - first];
+            let runs = Runs { tables, past: &inverse[first..step], costs: &cost[first..step] };
+            let (best, bits) = extend(simd, runs, cost[step], inverse[step], sharpness[step]);
+            cost[step + 1] = best;
+            length[step] = bits;
         }
     }
 }
@@ -174,37 +164,35 @@ fn is_empty<S: Simd>(simd: S, sharpness: [S::f32s; VECTORS]) -> bool {
     simd.first_true_m32s(simd.greater_than_f32s(greatest, zero)) == S::F32_LANES
 }
 
-/// Copies what the cut needs into blocks.
+/// Copies what the cut needs of the lanes from one on.
 #[inline(always)]
-fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field) {
+fn load<S: Simd>(simd: S, cutter: &mut Cutter, field: &Field, lane: usize) {
     // Readings that err alike break a line no more than one of them does.
     let trust = simd.splat_f32s((1.0 / field.errors.run).sqrt() as f32);
-    let inverse = S::as_mut_simd_f32s(&mut cutter.inverse).0;
-    let sharpness = S::as_mut_simd_f32s(&mut cutter.sharpness).0;
-    let vectors = field.lanes.div_ceil(VECTORS * S::F32_LANES) * VECTORS;
-    for step in 0..field.steps {
-        let row = step * field.lanes..(step + 1) * field.lanes;
-        let (a, a_rest) = S::as_simd_f32s(&field.inverse[row.clone()]);
-        let (range, range_rest) = S::as_simd_f32s(&field.range[row.clone()]);
-        let (gain, gain_rest) = S::as_simd_f32s(&field.gain[row]);
-        let rests = [a_rest, range_rest, gain_rest];
-        for vector in 0..vectors {
-            let at = (vector / VECTORS * field.steps + step) * VECTORS + vector % VECTORS;
-            let [a, range, gain] = if vector < a.len() {
-                [a[vector], range[vector], gain[vector]]
-            } else {
-                // What is left of the row, then nothing.
-                let [a, range, gain] = if vector == a.len() { rests } else { [&[][..]; 3] };
-                [
-                    simd.partial_load_f32s(a),
-                    simd.partial_load_f32s(range),
-                    simd.partial_load_f32s(gain),
-                ]
-            };
-            inverse[at] = a;
-            sharpness[at] = simd.mul_f32s(simd.mul_f32s(gain, range), trust);
+    let (inverse, _) = S::as_mut_simd_f32s(&mut cutter.inverse).0.as_chunks_mut::<VECTORS>();
+    let (sharpness, _) = S::as_mut_simd_f32s(&mut cutter.sharpness).0.as_chunks_mut::<VECTORS>();
+    let lanes = lane..field.lanes.min(lane + cutter.width);
+    for (step, (inverse, sharpness)) in inverse.iter_mut().zip(sharpness).enumerate() {
+        let cells = step * field.lanes + lanes.start..step * field.lanes + lanes.end;
+        *inverse = vectors(simd, &field.inverse[cells.clone()]);
+        let range = vectors(simd, &field.range[cells.clone()]);
+        let gain = vectors(simd, &field.gain[cells]);
+        for i in 0..VECTORS {
+            sharpness[i] = simd.mul_f32s(simd.mul_f32s(gain[i], range[i]), trust);
         }
     }
+}
+
+/// The vectors of a block's width that begin with an array, and go on with zeros.
+#[inline(always)]
+fn vectors<S: Simd>(simd: S, array: &[f32]) -> [S::f32s; VECTORS] {
+    let (whole, rest) = S::as_simd_f32s(array);
+    let (whole, rest) = (whole, simd.partial_load_f32s(rest));
+    std::array::from_fn(|i| match whole.get(i) {
+        Some(&vector) => vector,
+        None if i == whole.len() => rest,
+        None => simd.splat_f32s(0.0),
+    })
 }
 
 /// Whether tables that were made for another step are those of this one, to a thousandth of the usual
@@ -219,12 +207,11 @@ fn holds(tables: &[Table], positions: &[f32], step: usize) -> bool {
     past.zip(known).all(|(&past, table)| (here - past - table.back).abs() <= tolerance)
 }
 
-/// The tables for runs that end at a step, from two cells on.
+/// Adds the tables for runs that end at a step, from two cells on.
 ///
 /// With times t counted back from the step, the line through the first m readings d predicts the next
 /// as `-α Σd - β Σtd`, and that prediction and the reading differ by `1 / γ` times the variance of one.
 fn make_tables(tables: &mut Vec<Table>, positions: &[f32], step: usize) {
-    tables.clear();
     let (mut sum, mut squares) = (0.0_f64, 0.0_f64);
     for k in 1..LONGEST.min(step + 1) {
         let back = f64::from(positions[step]) - f64::from(positions[step - k]);

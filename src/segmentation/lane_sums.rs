@@ -1,6 +1,5 @@
 //! Sums along lanes, so that those of any run are differences of two.
 
-use super::cut::Block;
 use pulp::{Arch, Simd, WithSimd};
 
 /// For each lane of a block: sums of the inverse ranges, of their products with the positions of their
@@ -18,11 +17,13 @@ pub(super) struct LaneSums {
 const LANES: usize = 8;
 
 impl LaneSums {
-    /// Takes over a block.
-    pub fn sum_up(&mut self, block: Block, positions: &[f32]) {
-        self.width = block.width / LANES;
+    /// Takes over the inverse ranges of a block of so many lanes, step by step.
+    pub fn sum_up(&mut self, inverse: &[f32], lanes: usize, positions: &[f32]) {
+        self.width = lanes / LANES;
         self.sums.resize((positions.len() + 1) * self.width, [[0.0; LANES]; 3]);
-        Arch::new().dispatch(SumUp { block, positions, sums: &mut self.sums });
+        let (inverse, _) = inverse.as_chunks();
+        let width = self.width;
+        Arch::new().dispatch(SumUp { inverse, width, positions, sums: &mut self.sums });
     }
 
     /// The sums of a lane of the block over `begin..end` steps.
@@ -36,7 +37,8 @@ impl LaneSums {
 
 /// One summation; its loops are over arrays, so that they run on vectors of any width.
 struct SumUp<'a> {
-    block: Block<'a>,
+    inverse: &'a [[f32; LANES]],
+    width: usize,
     positions: &'a [f32],
     sums: &'a mut [[[f64; LANES]; 3]],
 }
@@ -46,10 +48,8 @@ impl WithSimd for SumUp<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { block, positions, sums } = self;
-        let width = block.width / LANES;
-        let (inverse, _) = block.inverse.as_chunks::<LANES>();
-        for part in 0..width {
+        let Self { inverse, width, positions, sums } = self;
+        for part in 0..if inverse.is_empty() { 0 } else { width } {
             let mut sum = [[0.0; LANES]; 3];
             sums[part] = sum;
             let parts = inverse[part..].iter().step_by(width);

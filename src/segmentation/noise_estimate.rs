@@ -486,15 +486,14 @@ fn trimmed_mean(bins: &[[f32; 2]], samples: f64, share: f64) -> f64 {
     let mut left = share * samples;
     let mut sum = 0.0;
     for &[count, square] in bins {
-        if count == 0.0 {
-            continue;
-        }
-        let part = (left / f64::from(count)).min(1.0);
-        sum += part * f64::from(square);
-        left -= part * f64::from(count);
-        if left <= 0.0 {
+        let (count, square) = (f64::from(count), f64::from(square));
+        if left <= count {
+            // The last part of them; nothing at all is no part.
+            sum += square * (left / count.max(f64::MIN_POSITIVE));
             break;
         }
+        sum += square;
+        left -= count;
     }
     sum / (share * samples)
 }

@@ -19,6 +19,17 @@ const BRIDGED: u32 = 2;
 /// they are evenly spaced: `(n - 1) / 2 - √((n² - 1) / 12)`.
 const INNER: [usize; LONGEST + 1] = [0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2];
 
+/// One over each number of cells.
+const SHARES: [f64; LONGEST + 1] = {
+    let mut shares = [0.0; LONGEST + 1];
+    let mut count = 1;
+    while count <= LONGEST {
+        shares[count] = 1.0 / count as f64;
+        count += 1;
+    }
+    shares
+};
+
 /// A run of cells on one lane, `first..=last` steps, all of them valid.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stick {
@@ -123,7 +134,7 @@ impl WithSimd for Paint<'_> {
 impl Sticks {
     /// Cuts all lanes of a field.
     pub fn cut(&mut self, field: &Field) {
-        self.cutter.cut(field);
+        self.cutter.start(field);
         self.sums.clear();
         let mut sum = [0.0; 2];
         self.sums.push(sum);
@@ -138,22 +149,28 @@ impl Sticks {
         self.link();
     }
 
-    /// Walks every lane back from its end and lists its sticks.
+    /// Cuts block after block of lanes, walks every lane back from its end and lists its sticks.
     fn collect(&mut self, field: &Field) {
         self.sticks.clear();
         self.starts.clear();
         self.spans.clear();
-        for lane in 0..field.lanes {
-            if lane.is_multiple_of(self.cutter.width) {
-                self.lane_sums.sum_up(self.cutter.block(lane), &field.positions);
+        let mut block = 0;
+        while block < field.lanes {
+            let width = self.cutter.cut(field, block);
+            self.lane_sums.sum_up(self.cutter.inverse(), width, &field.positions);
+            for lane in block..field.lanes.min(block + width) {
+                let begin = self.spans.len();
+                self.starts.push(begin as u32);
+                self.cutter.for_each_run(lane - block, |run| self.spans.push(run));
+                self.spans[begin..].reverse();
+                for stick in begin..self.spans.len() {
+                    let [first, last] = self.spans[stick];
+                    let sums =
+                        self.lane_sums.between(lane - block, first as usize, last as usize + 1);
+                    self.sticks.push(self.measure(field, lane, [first, last], sums));
+                }
             }
-            let begin = self.spans.len();
-            self.starts.push(begin as u32);
-            self.cutter.for_each_run(lane, |run| self.spans.push(run));
-            self.spans[begin..].reverse();
-            for stick in begin..self.spans.len() {
-                self.sticks.push(self.measure(field, lane, self.spans[stick]));
-            }
+            block += width;
         }
         self.starts.push(self.sticks.len() as u32);
     }
@@ -238,15 +255,21 @@ impl Sticks {
         [stick + 1..end, first_after..end_after]
     }
 
-    /// The line of a stick and the two points that stand for it.
-    fn measure(&self, field: &Field, lane: usize, [first, last]: [u32; 2]) -> Stick {
+    /// The line of a stick and the two points that stand for it; the sums are those of its cells.
+    #[inline]
+    fn measure(
+        &self,
+        field: &Field,
+        lane: usize,
+        [first, last]: [u32; 2],
+        [f1, tf, f2]: [f64; 3],
+    ) -> Stick {
         let (begin, end) = (first as usize, last as usize + 1);
         let count = end - begin;
         let n = count as f64;
         let (low, high) = (self.sums[begin], self.sums[end]);
         let (t1, t2) = (high[0] - low[0], high[1] - low[1]);
-        let [f1, tf, f2] = self.lane_sums.between(lane % self.cutter.width, begin, end);
-        let share = 1.0 / n;
+        let share = SHARES[count];
         let (mean_t, middle) = (t1 * share, f1 * share);
         let scatter = (t2 - t1 * mean_t).max(0.0);
         let product = tf - t1 * middle;
@@ -255,16 +278,20 @@ impl Sticks {
         let left = (f2 - f1 * middle - slope * product).max(0.0);
         let guess = INNER[count];
         let guesses = [guess, count.saturating_sub(2 + guess)];
-        let end_at = |t: f64, guess: usize| {
-            let range = 1.0 / (middle + slope * t);
+        // Inverse ranges at the two points, and from one division the ranges.
+        let (low, high) = (middle - slope * reach, middle + slope * reach);
+        let per_product = 1.0 / (low * high);
+        let end_at = |t: f64, range: f64, guess: usize| {
             let [x, y, z] = self.ray_at(field, lane, [begin, end], (mean_t + t) as f32, guess);
             [f64::from(x) * range, f64::from(y) * range, f64::from(z) * range]
         };
-        let ends = [end_at(-reach, guesses[0]), end_at(reach, guesses[1])];
+        let ends = [
+            end_at(-reach, high * per_product, guesses[0]),
+            end_at(reach, low * per_product, guesses[1]),
+        ];
         // The gain changes smoothly along a stick.
         let gain_at = |step: usize| f64::from(field.gain[step * field.lanes + lane]).powi(2);
-        let gain = (gain_at(begin) + gain_at(begin + count / 2) + gain_at(end - 1)) / 3.0;
-        let range = 1.0 / middle;
+        let gain = (gain_at(begin) + gain_at(begin + count / 2) + gain_at(end - 1)) * (1.0 / 3.0);
         Stick {
             lane: lane as u32,
             first,
@@ -273,7 +300,7 @@ impl Sticks {
             weight: 0.5 * gain * n,
             gain,
             n,
-            error: left * range * range * gain,
+            error: left * per_product * gain,
         }
     }
 
