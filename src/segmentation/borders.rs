@@ -107,11 +107,13 @@ impl Rows<'_> {
                 all |= differs[i];
             }
             if all != 0 {
+                // Written one over the other: which of them are listed is hard to foretell.
+                let (mut listed, mut count) = ([0; PASSED], 0);
                 for (cell, (differs, label)) in (first..).zip(differs.iter().zip(l)) {
-                    if *differs != 0 && *label != NO_RETURN {
-                        cells.push(cell);
-                    }
+                    listed[count % PASSED] = cell;
+                    count += usize::from((*differs != 0) & (*label != NO_RETURN));
                 }
+                cells.extend_from_slice(&listed[..count]);
             }
             first += PASSED as u32;
         }

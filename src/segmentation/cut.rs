@@ -26,6 +26,8 @@ const LENGTH_BITS: u32 = LONGEST as u32 - 1;
 /// Difference of two distances of steps, as a share of them, that makes none: the error that it leaves in
 /// a run is as much smaller than what the run rises by in one step.
 const UNEVEN: f32 = 1e-3;
+/// Stands for the length of a run of no returns, which is one.
+const NO_RETURN: u32 = LONGEST as u32;
 /// Vectors in a block: what is the same for all lanes is loaded once for them.
 const VECTORS: usize = 2;
 
@@ -41,7 +43,8 @@ pub(super) struct Cutter {
     sharpness: Vec<f32>,
     /// Least cost of each lane up to each step, from "nothing yet" on, with the price of a run more.
     cost: Vec<f32>,
-    /// Length, less one, of the run that ends at each cell, if one does.
+    /// Length, less one, of the run that ends at each cell, if one does; [`NO_RETURN`] where nothing came
+    /// back.
     length: Vec<u32>,
     /// For runs of two cells on, and where those of each step begin.
     tables: Vec<Table>,
@@ -101,11 +104,13 @@ impl Cutter {
     pub fn for_each_run(&self, lane: usize, mut pass: impl FnMut([u32; 2])) {
         let mut end = self.inverse.len() / self.width;
         while end > 0 {
-            let place = (end - 1) * self.width + lane;
-            let begin = end - (self.length[place] as usize + 1).min(end);
-            if self.inverse[place] > 0.0 {
-                pass([begin as u32, end as u32 - 1]);
+            let length = self.length[(end - 1) * self.width + lane];
+            if length == NO_RETURN {
+                end -= 1;
+                continue;
             }
+            let begin = end - (length as usize + 1).min(end);
+            pass([begin as u32, end as u32 - 1]);
             end = begin;
         }
     }
@@ -140,7 +145,7 @@ impl WithSimd for Cut<'_> {
         for (step, &table) in table_of.iter().enumerate() {
             if is_empty(simd, sharpness[step]) {
                 cost[step + 1] = cost[step];
-                length[step] = [simd.splat_u32s(0); VECTORS];
+                length[step] = [simd.splat_u32s(NO_RETURN); VECTORS];
                 continue;
             }
             let first = step - step.min(LONGEST - 1);
@@ -341,7 +346,7 @@ fn extend<S: Simd>(
             line.offer(simd, costs[at][i], line.error, length);
         }
     }
-    let (mut costs, mut lengths) = (before, [simd.splat_u32s(0); VECTORS]);
+    let (mut costs, mut lengths) = (before, [simd.splat_u32s(NO_RETURN); VECTORS]);
     for i in 0..VECTORS {
         // A cell without a return is a run of its own, at no price.
         let valid = simd.greater_than_f32s(sharpness[i], zero);
