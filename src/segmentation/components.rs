@@ -236,12 +236,17 @@ impl Components {
         if field.rim.is_on(cell) {
             return neighbours8(cell, field.lanes, field.len()).all(is_same);
         }
-        let mut others = ALL & !Near::of(&self.of_cell, cell, field.lanes).with(component);
-        while others != 0 {
-            if field.is_valid(neighbour(cell, field.lanes, others.trailing_zeros())) {
+        let near = Near::of(&self.of_cell, cell, field.lanes);
+        let mut unlabelled = near.with(NONE);
+        // Whatever is of a component has a return.
+        if near.with(component) | unlabelled != ALL {
+            return false;
+        }
+        while unlabelled != 0 {
+            if field.is_valid(neighbour(cell, field.lanes, unlabelled.trailing_zeros())) {
                 return false;
             }
-            others &= others - 1;
+            unlabelled &= unlabelled - 1;
         }
         true
     }
