@@ -132,9 +132,9 @@ impl Assembler {
         self.fit_regions(field, config, labels, Known { found: &found, parts: &[] });
         if self.fitted.iter().any(|region| region.doubtful) {
             let mut doubts = std::mem::take(&mut self.doubts);
-            doubts.start(labels);
+            doubts.start();
             for _ in 0..PARTINGS {
-                if !self.part_doubtful(field, config, &found, &mut doubts) {
+                if !self.part_doubtful(field, config, (labels, &found), &mut doubts) {
                     break;
                 }
                 self.spare_reasons
@@ -235,16 +235,16 @@ impl Assembler {
         &mut self,
         field: &Field,
         config: &SegmentationConfig,
-        found: &Found,
+        (labels, found): (&[u32], &Found),
         doubts: &mut Doubts,
     ) -> bool {
         let mut parted = false;
-        let count = (found.moments.len(), config.min_points.max(3));
+        let known = (labels, found.moments.len(), config.min_points.max(3));
         for FittedRegion { component, shape, doubtful, .. } in &self.fitted {
             if let (true, Fitted::Plane(plane)) = (doubtful, shape) {
                 let (normal, offset_m) = plane.equation();
                 let q = (normal / offset_m).into();
-                if doubts.part(field, &self.components, *component, q, count) {
+                if doubts.part(field, &self.components, *component, q, known) {
                     self.borders.extend(self.components.cells(*component).map(|cell| cell as u32));
                     parted = true;
                 }

@@ -48,22 +48,21 @@ pub(super) struct Doubts {
 
 impl Doubts {
     /// Forgets the parts of an earlier scan.
-    pub fn start(&mut self, labels: &[u32]) {
+    pub fn start(&mut self) {
         self.labels.clear();
-        self.labels.extend_from_slice(labels);
         self.planes.clear();
     }
 
     /// Parts a component whose plane was found to be `q`: what the plane explains that explains most
-    /// of it gets a label of its own from `first` on, and so does the rest where it has at least
-    /// `fewest` cells. Returns whether anything has changed.
+    /// of it gets a label of its own from `first` on, which all of `labels` are below, and so does the
+    /// rest where it has at least `fewest` cells. Returns whether anything has changed.
     pub fn part(
         &mut self,
         field: &Field,
         components: &Components,
         component: usize,
         q: [f64; 3],
-        (first, fewest): (usize, usize),
+        (labels, first, fewest): (&[u32], usize, usize),
     ) -> bool {
         self.cells.clear();
         self.cells.extend(components.cells(component).map(|cell| cell as u32));
@@ -75,6 +74,10 @@ impl Doubts {
         let left_out = self.leave_out(field, components, component, &best, scale);
         if left_out == 0 && !better {
             return false;
+        }
+        // Most scans have no region that is parted.
+        if self.labels.is_empty() {
+            self.labels.extend_from_slice(labels);
         }
         let kept = (first + self.planes.len()) as u32;
         self.planes.push(best);
