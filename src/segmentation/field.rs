@@ -18,7 +18,7 @@ const SATURATED: f32 = 0.9985;
 /// Fewest saturated readings that are believed to be some.
 const FEWEST_SATURATED: u32 = 32;
 /// Pairs of cells that are looked at to measure one angular pitch.
-const PITCH_SAMPLES: usize = 64;
+const PITCH_SAMPLES: usize = 256;
 /// Lanes that are looked at to measure the pitch between two steps.
 const LANE_SAMPLES: usize = 9;
 

@@ -33,7 +33,7 @@ const SIZE_SHIFT: u32 = 20;
 const FIRST_SIZE: u32 = (127 - 15) << 3;
 /// Fewest samples that make a class of range count.
 const FEWEST: f64 = 60.0;
-/// How many samples at most, or a few more, are taken of a scan: of next neighbours, which tell the
+/// About how many samples are taken of a scan: of next neighbours, which tell the
 /// variance to 2 %, and of others, which only have to tell whether theirs is much larger.
 const SAMPLES: usize = 10_000;
 const FAR_SAMPLES: usize = 3_000;
@@ -358,7 +358,7 @@ impl NoiseEstimator {
         if last == 0 {
             return;
         }
-        let stride = field.len().div_ceil(samples).max(1);
+        let stride = (field.len() / samples).max(1);
         let apart = down * lanes + right;
         for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
             let first = step * lanes;
