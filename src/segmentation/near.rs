@@ -64,7 +64,12 @@ impl Near {
                     if present && inside { labels[cell] } else { none }
                 };
                 let left = at(lane > 0, middle.wrapping_sub(1));
-                u32x4::new([left, at(true, middle), at(lane + 1 < width, middle + 1), none])
+                u32x4::new([
+                    left,
+                    at(true, middle),
+                    at(lane + 1 < width, middle.wrapping_add(1)),
+                    none,
+                ])
             }),
         }
     }
