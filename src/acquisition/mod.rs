@@ -232,7 +232,12 @@ impl Acquisition {
         // First of all, so that whoever sends the commands lets them through.
         let news = self.control.new_reach().map(HeadAction::Reach);
         let limits = self.control.head().tilt().and_then(|axis| axis.limits);
-        let (profile, clipped) = request.profile.clipped(limits);
+        let (mut profile, clipped) = request.profile.clipped(limits);
+        // Where the laser alone found it stuck is known to a degree or two, which is no row's tilt.
+        let read = self.control.clock().latest().is_some_and(|at| self.control.reads_at(at));
+        if self.is_stuck() && !read {
+            profile.tilts.clear();
+        }
         let driving = request.mode == SweepMode::Nodding;
         let profile = match driving {
             true => profile,
