@@ -3,7 +3,7 @@
 use super::config::AcquisitionConfig;
 use super::control::HeadControl;
 use super::fix::TiltReference;
-use super::identify::{Observation, ServoFit, identify, lag_of};
+use super::identify::{MOST_DELAY, Observation, ServoFit, identify, lag_of};
 use super::profile::{Profile, QuarterDegrees};
 use super::scan::Scan;
 use super::sweep::Sweep;
@@ -60,6 +60,8 @@ struct Moving {
     /// What is still to be demanded, last first.
     script: Vec<Motion>,
     lines_left: u32,
+    /// Lines stamped from here on show what was told last.
+    shown_from: Stamp,
     /// When the next motion is due, once the lines after the last one have come.
     next_at: Option<Arrival>,
     start_rad: f64,
@@ -82,6 +84,14 @@ struct Motion {
 
 /// How far the stamps of lines may run ahead of what they show: then the lag stands in the delay.
 const LINES_LAG: Span = Span::from_millis(-1000);
+
+/// The same where the line to the server was measured: no line is cast later than the next but one.
+const LINES_AHEAD: Span = Span::from_millis(500);
+/// What a command may take longer to be obeyed than a question to be answered: some frames.
+const UNSURE: Span = Span::from_millis(150);
+/// A line stamped this long before a command is in force may be the next one after it: UT2004 stamps
+/// lines with the time of the burst before.
+const STAMPED_EARLY: Span = Span::from_millis(300);
 
 /// Rows of the reference sweep, one degree apart.
 const REFERENCE_ROWS: i32 = 9;
@@ -115,7 +125,7 @@ impl Calibration {
         config: &AcquisitionConfig,
         now: Arrival,
     ) -> (Self, Vec<HeadAction>) {
-        control.begin_calibration();
+        control.begin_calibration(now);
         let limits = control.head().tilt().and_then(|axis| axis.limits);
         let (profile, _) = profile.clipped(limits);
         let tolerance = config.tolerance_deg.to_radians();
@@ -166,7 +176,9 @@ impl Calibration {
                     && control.rhythm.is_whole(line)
                 {
                     moving.lines.push((*line).clone());
-                    moving.lines_left = moving.lines_left.saturating_sub(1);
+                    if line.stamp >= moving.shown_from {
+                        moving.lines_left = moving.lines_left.saturating_sub(1);
+                    }
                     moving.deadline = now + patience(control, config);
                     if moving.lines_left == 0 && moving.next_at.is_none() {
                         let phase = moving.script.last().map_or(0.0, |motion| motion.phase);
@@ -233,15 +245,17 @@ impl Calibration {
         // A jump there and back shows speed, gap and delay; steps as small and as frequent as a
         // sweep's show what matters for it; the last jump checks.
         let jump = |tilt, phase, lines| Motion { tilt, phase, lines };
-        let mut script = vec![jump(there, 0.0, 8), jump(here, 0.35, 9)];
+        let lines = lines_to_settle((there.radians() - here.radians()).abs(), control);
+        let mut script = vec![jump(there, 0.0, lines.max(8)), jump(here, 0.35, lines.max(9))];
         let steps = (1..=10).map(|i| QuarterDegrees(here.0 + i * towards));
         script.extend(steps.map(|tilt| Motion { tilt, phase: 0.0, lines: 1 }));
-        script.extend([jump(there, 0.7, 7), jump(here, 0.5, 7)]);
+        script.extend([jump(there, 0.7, lines.max(7)), jump(here, 0.5, lines.max(7))]);
         script.reverse();
         self.stage = Stage::Moving(Box::new(Moving {
             reference: TiltReference::of(&scan.image),
             script,
             lines_left: 0,
+            shown_from: Stamp(i64::MIN),
             next_at: None,
             start_rad: last.tilt_rad,
             began,
@@ -262,6 +276,11 @@ impl Calibration {
             moving.commands.push((stamp, demand));
         }
         (moving.lines_left, moving.next_at) = (motion.lines, None);
+        // Jumps have to be seen to their end, however late lines come; small steps follow one another as
+        // in a sweep.
+        let seen = motion.lines > 1;
+        let in_force = control.in_force(now).filter(|_| seen);
+        moving.shown_from = in_force.map_or(Stamp(i64::MIN), |stamp| stamp - STAMPED_EARLY);
         vec![HeadAction::Send(control.command_tilt(demand, now))]
     }
 
@@ -269,9 +288,10 @@ impl Calibration {
         let Stage::Moving(moving) = std::mem::replace(&mut self.stage, Stage::Finished) else {
             return self.give_up("nothing was measured", now);
         };
-        if control.is_otherwise_late() {
-            control.begin_calibration();
-            return self.give_up("messages began to come late during the calibration", now);
+        if control.changed_in_calibration() {
+            control.begin_calibration(now);
+            let why = "the line to the server became slower during the calibration";
+            return self.give_up(why, now);
         }
         let limits = control.head().tilt().and_then(|axis| axis.limits);
         let readings: Vec<Observation> = control
@@ -296,7 +316,8 @@ impl Calibration {
             .collect();
         let prior = control.tilt.law();
         let law_of = |seen: &[Observation], least: Span| {
-            identify(moving.start_rad, limits, &moving.commands, seen, prior, least)
+            let delays = delays(control, least);
+            identify(moving.start_rad, limits, &moving.commands, seen, prior, delays)
         };
         // Readings and commands are on one clock. The stamps of lines lag by what nobody has told.
         let by_readings = law_of(&readings, Span::ZERO);
@@ -328,14 +349,14 @@ impl Calibration {
             lines: moving.lines.len(),
             seconds: (now - self.started).seconds(),
             text: describe(fit.as_ref(), read, line_lag, (readings.len(), fixes.len())),
-            warning: fit.filter(|fit| fit.delay > LONG_DELAY).map(|fit| {
+            warning: fit.map_or_else(|| slow_line(control), |fit| (fit.delay > LONG_DELAY).then(|| {
                 format!(
                     "the line to the server is slow: commands are obeyed {} {:.0} ms after they are \
                      sent, and every wait is that much longer",
                     if read { "about" } else { "at least" },
                     1e3 * fit.delay.seconds()
                 )
-            }),
+            })),
         };
         HeadAction::Calibrated(Box::new(report))
     }
@@ -353,6 +374,37 @@ impl Calibration {
             warning: None,
         }))
     }
+}
+
+/// What to say of a line that was measured to be slow though no law was found.
+fn slow_line(control: &HeadControl) -> Option<String> {
+    let (_, longest) = control.trips().calibrated_span()?;
+    (longest > LONG_DELAY).then(|| {
+        format!(
+            "the line to the server is slow: it answers after {:.0} ms, and every wait is that much longer",
+            1e3 * longest.seconds()
+        )
+    })
+}
+
+/// The least and the most that a command may take to be obeyed: what questions took to be answered
+/// meanwhile, and no less than `least`.
+fn delays(control: &HeadControl, least: Span) -> (Span, Span) {
+    match control.trips().calibrated_span() {
+        // What the stamps of lines run ahead of what they show is taken off the delay.
+        Some((shortest, longest)) => ((shortest - LINES_AHEAD).max(least), longest + UNSURE),
+        None => (least, MOST_DELAY),
+    }
+}
+
+/// Lines that come while the tilt settles after a jump, as far as its law is known: one that is cut short
+/// tells the speed badly.
+fn lines_to_settle(jump_rad: f64, control: &HeadControl) -> u32 {
+    const SETTLED_RAD: f64 = 0.005;
+    const MOST: f64 = 40.0;
+    let settle_s = control.tilt.law().map_or(0.0, |law| law.settle_s(jump_rad, SETTLED_RAD));
+    let lines = (settle_s / control.rhythm.interval().seconds().max(0.01)).ceil() + 2.0;
+    lines.min(MOST) as u32
 }
 
 fn patience(control: &HeadControl, config: &AcquisitionConfig) -> Span {

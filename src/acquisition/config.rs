@@ -13,7 +13,8 @@ pub struct AcquisitionConfig {
     /// The same for the coarse profiles of exploration, in degrees, in (0, 1].
     pub coarse_tolerance_deg: f64,
     /// Bound on the time from sending a command until it is in force, less the fastest way of a
-    /// message back: network both ways and one server frame, in seconds, in [0, 5].
+    /// message back: network both ways and one server frame, in seconds, in [0, 5]. A server that
+    /// answers questions later than that is given as long as its answers take.
     pub command_latency_s: f64,
     /// Time given to a joint whose law is unknown and that sends no readings, in seconds, above 0.
     pub unknown_settle_s: f64,

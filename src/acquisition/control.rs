@@ -6,6 +6,7 @@ use super::clock::{ClockStep, StampClock};
 use super::config::AcquisitionConfig;
 use super::identify::ServoFit;
 use super::reach::Reach;
+use super::round_trip::RoundTrips;
 use super::servo::ServoLaw;
 use super::stillness::StillWatch;
 use super::track::{AxisReading, AxisTrack};
@@ -27,6 +28,8 @@ pub struct HeadControl {
     clock: StampClock,
     /// The same from the scanner's stamps alone, for a server that stamps nothing else.
     scanner_clock: StampClock,
+    /// What questions to the server take to be answered.
+    trips: RoundTrips,
     /// The tilt joint.
     pub(super) tilt: AxisTrack,
     /// The pan joint.
@@ -77,6 +80,8 @@ pub struct Timing {
     pub sigma: Span,
     /// Standard deviation of what the servo law predicts at rest, in radians.
     pub model_sigma_rad: f64,
+    /// Standard deviation of the law's speed, as a share of it.
+    pub speed_sigma: f64,
     /// Whether a calibration found them.
     pub calibrated: bool,
 }
@@ -117,6 +122,7 @@ impl HeadControl {
             head: head.clone(),
             clock: StampClock::new(),
             scanner_clock: StampClock::new(),
+            trips: RoundTrips::default(),
             tilt_proof: tilt.law(),
             pan_proof: pan.law(),
             tilt,
@@ -141,6 +147,7 @@ impl HeadControl {
                 line_lag: Span::ZERO,
                 sigma: Span::from_millis(60),
                 model_sigma_rad: 0.002,
+                speed_sigma: 0.03,
                 calibrated: false,
             },
         }
@@ -198,6 +205,10 @@ impl HeadControl {
                 let step = self.scanner_clock.observe(line.stamp + SCANNER_LAG, now);
                 if self.clock.latest().is_some() { ClockStep::Steady } else { step }
             }
+            HeadEvent::Answered => {
+                self.trips.answered(now);
+                ClockStep::Steady
+            }
             HeadEvent::Tick => ClockStep::Steady,
         };
         if step == ClockStep::Steady {
@@ -207,6 +218,7 @@ impl HeadControl {
         self.tilt.forget_times();
         self.pan.forget_times();
         self.rhythm.forget_times();
+        self.trips.forget_times();
         self.body.forget();
         self.still.forget();
         true
@@ -241,19 +253,23 @@ impl HeadControl {
     pub(super) fn in_force(&self, now: Arrival) -> Option<Stamp> {
         let read = self.clock().latest().is_some_and(|latest| self.reads_at(latest));
         let slower = if read { Span::ZERO } else { self.clock().slower_as_a_rule() };
-        self.clock().in_force_by(now, self.latency + slower)
+        // The first answer tells how long commands take; what is sent before it may take any time.
+        let bound = (self.latency + slower).max(self.trips.bound(now));
+        self.clock().in_force_by(now, bound).filter(|_| !self.awaits_answer(now))
     }
 
     /// The stamp until which it is known where the tilt was in motion; `None` if it always is: by its
     /// readings, or by its law and the times of commands.
     pub(super) fn sure_until(&self) -> Option<Stamp> {
         let read = self.clock().latest().is_some_and(|latest| self.reads_at(latest));
-        self.clock().sure_until().filter(|_| !read)
+        let sure = [self.clock().sure_until(), self.trips.sure_until()];
+        sure.into_iter().flatten().min().filter(|_| !read)
     }
 
     /// Takes note that a calibration begins, which measures with whatever messages are late by now.
-    pub(super) fn begin_calibration(&mut self) {
+    pub(super) fn begin_calibration(&mut self, now: Arrival) {
         self.slower_calibrated = self.clock().slower_by();
+        self.trips.begin_calibration(now);
     }
 
     /// Whether messages come later by another time than when a calibration was last begun.
@@ -263,20 +279,55 @@ impl HeadControl {
         more > OTHER || more + OTHER < Span::ZERO
     }
 
+    /// Whether the line changed while a calibration was under way, so that it measured nothing.
+    pub(super) fn changed_in_calibration(&self) -> bool {
+        self.is_otherwise_late() || self.trips.changed_meanwhile()
+    }
+
     /// Whether messages have come later for so long that another calibration can measure with it.
     pub(super) fn wants_calibration(&self) -> bool {
-        self.sure_until().is_some() && self.clock().is_regular() && self.is_otherwise_late()
+        let by_answers = self.trips.sure_until().is_some() && self.trips.is_steady();
+        let by_stamps = self.clock().is_regular() && self.is_otherwise_late();
+        self.sure_until().is_some() && (by_stamps || by_answers)
     }
 
     /// What a command takes to be obeyed beyond the clock's lower bound, for all that is known.
     pub(super) fn obeyed_within(&self) -> Span {
-        self.latency + self.clock().slower_by()
+        let by_answers = self.trips.bound(Arrival::default());
+        (self.latency + self.clock().slower_by()).max(by_answers)
+    }
+
+    /// Whether it is still to be told how long commands take.
+    pub(super) fn awaits_answer(&self, now: Arrival) -> bool {
+        self.trips.awaits_first(now)
+    }
+
+    /// What questions to the server take to be answered.
+    pub(super) fn trips(&self) -> &RoundTrips {
+        &self.trips
+    }
+
+    /// Goes on with what `other` learnt of the line to the server.
+    pub(super) fn keep_line_of(&mut self, other: &Self) {
+        self.trips = other.trips.clone();
+    }
+
+    /// Asks the server something, if it is time to know how long it takes to answer.
+    pub(super) fn query_if_due(&mut self, now: Arrival) -> Option<HeadAction> {
+        self.trips.is_due(now).then(|| self.query(now)).flatten()
+    }
+
+    /// Asks the server something now, unless an answer is waited for.
+    pub(super) fn query(&mut self, now: Arrival) -> Option<HeadAction> {
+        let stamp = self.clock().earliest(now).filter(|_| !self.trips.is_waiting(now))?;
+        self.trips.ask(stamp, now);
+        Some(HeadAction::Query)
     }
 
     /// By how much messages come later than they did, in words for an operator, where that is much.
     pub(super) fn slowness_remark(&self) -> Option<String> {
         const MUCH: Span = Span::from_millis(300);
-        let slower = self.clock().slower_by();
+        let slower = self.slower_by();
         (slower > MUCH).then(|| {
             format!(
                 "messages of the server come {:.1} s later than they did: each row waits for them",
@@ -332,11 +383,13 @@ impl HeadControl {
             line_lag: lag.map_or(Span::ZERO, |(lag, _)| lag),
             sigma: lag.map_or(fit.time_sigma, |(_, sigma)| sigma),
             model_sigma_rad: fit.rms_rad,
+            speed_sigma: fit.speed_sigma,
             calibrated: true,
         };
         // What messages come later by has been measured with it.
         self.clock.forgive();
         self.scanner_clock.forgive();
+        self.trips.calibrated();
         self.slower_calibrated = Span::ZERO;
     }
 
@@ -405,7 +458,23 @@ impl HeadControl {
     }
 
     fn expected_in_force(&self, now: Arrival) -> Option<Stamp> {
-        self.clock().earliest(now).map(|stamp| stamp + self.timing.command_delay)
+        self.clock().earliest(now).map(|stamp| stamp + self.command_delay())
+    }
+
+    /// From the clock's lower bound at sending until a command is in force, as far as is known now.
+    pub(super) fn command_delay(&self) -> Span {
+        let known = self.timing.command_delay;
+        match self.timing.calibrated {
+            false => self.trips.middle().map_or(known, |measured| measured.max(known)),
+            // Messages that have just begun to come late have not yet moved the clock's lower bound.
+            true if self.clock().is_regular() => known + self.trips.later_by(),
+            true => known,
+        }
+    }
+
+    /// By how much messages come later than they did, by their stamps or by answers.
+    pub(super) fn slower_by(&self) -> Span {
+        self.clock().slower_by().max(self.trips.slower_by())
     }
 
     /// The head's joints and mounts.

@@ -28,6 +28,8 @@ const CLOSEST: f64 = 0.4;
 const DENSE_RAD: f64 = 0.0175;
 /// A law found to a few percent predicts a move to a few percent.
 const LAW_ERROR: f64 = 0.03;
+/// The share by which the law's speed is changed to see what an error of it does.
+const SPEED_STEP: f64 = 1e-3;
 /// A reading as near as this to a line's casting supports the line's tilt.
 const SUPPORT: Span = Span::from_millis(400);
 /// What a reading that supports a tilt leaves of its uncertainty, in radians.
@@ -61,6 +63,12 @@ pub(super) fn dated_rows(
     let mut kept: Option<f64> = None;
     let mut due = Stamp(i64::MIN);
     let mut source = LiveTriples::new(taken, driving, control);
+    // A speed that is not quite the law's adds up on a long way, until the tilt comes near its set-point.
+    let faster = control.tilt.law().map(|law| {
+        let mut faster = control.tilt.clone();
+        faster.set_law(law.changed(SPEED_STEP, 0.0));
+        faster
+    });
     while let Some((taken, triple)) = source.next_from(due) {
         let cast = triple.stamp;
         let Some(estimate) = control.tilt.estimate(cast) else { continue };
@@ -83,9 +91,16 @@ pub(super) fn dated_rows(
                 .tilt
                 .estimate(cast - control.rhythm.interval())
                 .map_or(0.0, |before| before.angle_rad - estimate.angle_rad);
-            control.timing.model_sigma_rad.hypot(LAW_ERROR * moved)
+            let farther = faster
+                .as_ref()
+                .and_then(|faster| faster.estimate(cast))
+                .map_or(0.0, |e| (e.angle_rad - estimate.angle_rad) / SPEED_STEP);
+            let law = (LAW_ERROR * moved).hypot(control.timing.speed_sigma * farther);
+            control.timing.model_sigma_rad.hypot(law)
         };
-        let moving = estimate.rate_rad_s * control.timing.sigma.seconds();
+        // Commands obeyed later than usual: without readings the law tells the tilt too far on.
+        let late = if supported { Span::ZERO } else { control.trips().excess_at(cast) };
+        let moving = estimate.rate_rad_s * control.timing.sigma.seconds().hypot(late.seconds());
         let row = FiledRow {
             demanded: taken.demanded,
             pose: HeadPose { pan_rad, tilt_rad: estimate.angle_rad },

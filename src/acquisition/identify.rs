@@ -5,6 +5,7 @@ use super::track::{AxisEstimate, AxisTrack};
 use crate::geometry::AngleSpan;
 use crate::robot::Demand;
 use crate::time::{Span, Stamp};
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Where the joint was, by a reading or by the laser.
@@ -30,6 +31,8 @@ pub struct ServoFit {
     pub rms_rad: f64,
     /// Standard deviation of the time axis, from the residuals while the joint moved.
     pub time_sigma: Span,
+    /// Standard deviation of the law's speed, as a share of it.
+    pub speed_sigma: f64,
     /// Observations that the law explains, and observations in all.
     pub explained: (usize, usize),
 }
@@ -38,38 +41,49 @@ pub struct ServoFit {
 const FLOOR_RAD: f64 = 2e-4;
 /// Residuals beyond this many deviations are outliers.
 const CUT: f64 = 6.0;
+/// Observations by the laser err alike where they are near one another: the speed is this many times as
+/// uncertain as if each erred for itself.
+const ERR_ALIKE: f64 = 2.0;
+/// What the speed is uncertain by where nothing tells.
+const SPEED_SIGMA: f64 = 0.03;
+/// Most that it is uncertain by.
+const MOST_SIGMA: f64 = 0.5;
 /// Share of the observations that a law must explain.
 const EXPLAINED: f64 = 0.7;
 /// A rest of this much means that the law is of another kind.
 const WORST_RMS_RAD: f64 = 0.0035;
-/// Longest time that a command is taken to be on its way, and the steps in which that is first looked for.
-const MOST_DELAY: Span = Span::from_millis(5_000);
+/// Longest time that a command is taken to be on its way where nobody measured it.
+pub(super) const MOST_DELAY: Span = Span::from_millis(5_000);
+/// The steps in which that time is first looked for.
 const DELAY_STEP: Span = Span::from_millis(200);
+/// Where it is looked for first: a server in the same room.
+const USUAL_DELAY_S: f64 = 0.03;
 /// Fewest observations that a law can be found from.
 const FEWEST: usize = 12;
 
 /// The law, of either kind, that explains the observations best; `None` if none does.
 ///
 /// `commands` hold the clock's lower bound at sending; the joint rests at `start_rad` before them and
-/// obeys no command sooner than `least_delay` after it.
+/// obeys each within `delays` after it, the shortest and the longest.
 pub fn identify(
     start_rad: f64,
     limits: Option<AngleSpan>,
     commands: &[(Stamp, Demand)],
     observations: &[Observation],
     prior: Option<ServoLaw>,
-    least_delay: Span,
+    delays: (Span, Span),
 ) -> Option<ServoFit> {
     if observations.len() < FEWEST || commands.is_empty() {
         return None;
     }
-    let case = Case { start_rad, limits, commands, observations, least_delay };
+    let case = Case { start_rad, limits, commands, observations, delays };
     let prior_speed = match prior {
         Some(ServoLaw::Hinge { speed_rad_s, .. }) => speed_rad_s,
         Some(ServoLaw::Spring { .. }) | None => 0.17,
     };
-    let hinges = [1.0, 0.4, 2.5, 8.0].map(|f| [(prior_speed * f).ln(), HINGE_GAP_RAD.ln(), 0.03]);
-    let springs = [[2.0, 0.0, 0.03], [2.7, -0.7, 0.03], [3.4, 0.0, 0.03], [2.7, 0.7, 0.03]];
+    let at_s = delays.0.seconds().max(USUAL_DELAY_S);
+    let hinges = [1.0, 0.4, 2.5, 8.0].map(|f| [(prior_speed * f).ln(), HINGE_GAP_RAD.ln(), at_s]);
+    let springs = [[2.0, 0.0, at_s], [2.7, -0.7, at_s], [3.4, 0.0, at_s], [2.7, 0.7, at_s]];
     let best = |starts: [[f64; 3]; 4], law_of: fn(&[f64; 3]) -> ServoLaw| {
         // The valley of the true noise is narrow and curved: the search begins with a noise that
         // widens it, and sharpens.
@@ -82,7 +96,7 @@ pub fn identify(
         // looks like a late one.
         let late = |[a, b, supposed_s]: [f64; 3]| {
             let cost = |delay_s: f64| case.cost(law_of(&[a, b, delay_s]), delay_s, 24.0);
-            let steps = 0..=MOST_DELAY.0 / DELAY_STEP.0;
+            let steps = 0..=(delays.1.0 / DELAY_STEP.0).max(0);
             let delays = steps.map(|i| supposed_s + DELAY_STEP.seconds() * i as f64);
             let best_s = delays.min_by(|a, b| cost(*a).total_cmp(&cost(*b)));
             best_s.filter(|&best_s| best_s > supposed_s).map(|best_s| [a, b, best_s])
@@ -137,12 +151,12 @@ struct Case<'a> {
     limits: Option<AngleSpan>,
     commands: &'a [(Stamp, Demand)],
     observations: &'a [Observation],
-    least_delay: Span,
+    delays: (Span, Span),
 }
 
 impl Case<'_> {
     fn delay(&self, delay_s: f64) -> Span {
-        Span::from_seconds(delay_s).min(MOST_DELAY).max(self.least_delay)
+        Span::from_seconds(delay_s).min(self.delays.1).max(self.delays.0)
     }
 
     fn track(&self, law: ServoLaw, delay_s: f64) -> AxisTrack {
@@ -152,6 +166,32 @@ impl Case<'_> {
             track.demand(stamp + delay, demand);
         }
         track
+    }
+
+    /// The speed's standard deviation, as a share: of the least-squares fit for speed, gap and delay.
+    fn speed_sigma(&self, law: ServoLaw, delay_s: f64, residuals: &Residuals) -> f64 {
+        const STEP: f64 = 1e-3;
+        let track = |speed: f64, other: f64, late_s: f64| {
+            self.track(law.changed(speed, other), delay_s + late_s)
+        };
+        let (here, speed) = (track(0.0, 0.0, 0.0), track(STEP, 0.0, 0.0));
+        let (other, late) = (track(0.0, STEP, 0.0), track(0.0, 0.0, STEP));
+        let mut information = Matrix3::<f64>::zeros();
+        for seen in self.observations {
+            let at = |track: &AxisTrack| track.estimate(seen.stamp).map_or(0.0, |e| e.angle_rad);
+            let angle_rad = at(&here);
+            if (angle_rad - seen.angle_rad).abs() > 3.0 * WORST_RMS_RAD {
+                continue;
+            }
+            let slope =
+                Vector3::new(at(&speed), at(&other), at(&late)).add_scalar(-angle_rad) / STEP;
+            information += slope * slope.transpose();
+        }
+        let rms_rad = residuals.rms_rad().max(FLOOR_RAD);
+        let variance = information.try_inverse().map(|inverse| inverse[(0, 0)].max(0.0));
+        variance
+            .map_or(SPEED_SIGMA, |variance| ERR_ALIKE * rms_rad * variance.sqrt())
+            .min(MOST_SIGMA)
     }
 
     fn cost(&self, law: ServoLaw, delay_s: f64, widening: f64) -> f64 {
@@ -167,8 +207,25 @@ impl Case<'_> {
             delay: self.delay(delay_s),
             rms_rad: residuals.rms_rad(),
             time_sigma: residuals.time_sigma(),
+            speed_sigma: self.speed_sigma(law, delay_s, &residuals),
             explained: (residuals.explained, self.observations.len()),
         })
+    }
+}
+
+impl ServoLaw {
+    /// The law with its speed, and what else makes it slow, changed by these shares.
+    pub(super) fn changed(self, speed_share: f64, other_share: f64) -> Self {
+        match self {
+            Self::Hinge { speed_rad_s, gap_rad } => Self::Hinge {
+                speed_rad_s: speed_rad_s * (1.0 + speed_share),
+                gap_rad: gap_rad * (1.0 + other_share),
+            },
+            Self::Spring { frequency_rad_s, damping } => Self::Spring {
+                frequency_rad_s: frequency_rad_s * (1.0 + speed_share),
+                damping: damping * (1.0 + other_share),
+            },
+        }
     }
 }
 
@@ -296,6 +353,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    const FROM_NOW: (Span, Span) = (Span::ZERO, MOST_DELAY);
+
     fn s(seconds: f64) -> Stamp {
         Stamp::from_seconds(seconds)
     }
@@ -346,7 +405,7 @@ mod tests {
         ) {
             let law = ServoLaw::Hinge { speed_rad_s: speed, gap_rad: gap_deg.to_radians() };
             let (commands, readings) = observed(law, delay, 0.0);
-            let fit = identify(0.0, None, &commands, &readings, Some(ServoLaw::hinge(0.17)), Span::ZERO).unwrap();
+            let fit = identify(0.0, None, &commands, &readings, Some(ServoLaw::hinge(0.17)), FROM_NOW).unwrap();
             prop_assert!((fit.delay.seconds() - delay).abs() < 0.008, "{fit:?} for {law:?}");
             prop_assert!(fit.rms_rad < 2e-4, "{fit:?}");
             let (_, lines) = observed(law, delay, lag);
@@ -359,7 +418,7 @@ mod tests {
         fn a_spring_is_found_again(frequency in 4.0..25.0f64, damping in 0.3..1.5f64, delay in 0.0..0.1f64) {
             let law = ServoLaw::Spring { frequency_rad_s: frequency, damping };
             let (commands, readings) = observed(law, delay, 0.0);
-            let fit = identify(0.0, None, &commands, &readings, None, Span::ZERO).unwrap();
+            let fit = identify(0.0, None, &commands, &readings, None, FROM_NOW).unwrap();
             prop_assert!(fit.rms_rad < 4e-4, "{fit:?} for {law:?} {delay}");
         }
     }
@@ -369,7 +428,7 @@ mod tests {
         for (frequency_rad_s, damping, delay) in [(4.037, 1.471, 0.057), (4.27, 1.48, 0.006)] {
             let (commands, readings) =
                 observed(ServoLaw::Spring { frequency_rad_s, damping }, delay, 0.0);
-            let fit = identify(0.0, None, &commands, &readings, None, Span::ZERO).unwrap();
+            let fit = identify(0.0, None, &commands, &readings, None, FROM_NOW).unwrap();
             assert!(fit.rms_rad < 4e-4, "{fit:?} for {frequency_rad_s} {damping}");
         }
     }
@@ -380,9 +439,10 @@ mod tests {
         let law = ServoLaw::hinge(0.17);
         let (commands, readings) = observed(law, -0.03, 0.0);
         let free =
-            identify(0.0, None, &commands, &readings, None, Span::from_millis(-1000)).unwrap();
+            identify(0.0, None, &commands, &readings, None, (Span::from_millis(-1000), MOST_DELAY))
+                .unwrap();
         assert!(free.delay < Span::from_millis(-25), "{free:?}");
-        let bound = identify(0.0, None, &commands, &readings, None, Span::ZERO);
+        let bound = identify(0.0, None, &commands, &readings, None, FROM_NOW);
         assert!(bound.is_none_or(|fit| fit.delay >= Span::ZERO), "{bound:?}");
     }
 
@@ -392,7 +452,7 @@ mod tests {
         for (i, reading) in readings.iter_mut().enumerate() {
             reading.angle_rad = 0.1 * ((i * i) as f64).sin();
         }
-        assert_eq!(identify(0.0, None, &commands, &readings, None, Span::ZERO), None);
-        assert_eq!(identify(0.0, None, &commands, &readings[..5], None, Span::ZERO), None);
+        assert_eq!(identify(0.0, None, &commands, &readings, None, FROM_NOW), None);
+        assert_eq!(identify(0.0, None, &commands, &readings[..5], None, FROM_NOW), None);
     }
 }

@@ -28,6 +28,7 @@ mod ramp;
 mod reach;
 mod repeat;
 mod request;
+mod round_trip;
 mod scan;
 mod servo;
 mod stillness;
@@ -88,6 +89,8 @@ pub enum HeadEvent<'a> {
     Joints(HeadReading),
     /// The stamp of any other message, the scanner's excepted: it keeps the clocks together.
     Stamped(Stamp),
+    /// The answer to a [`HeadAction::Query`].
+    Answered,
     /// Only that time has passed.
     Tick,
 }
@@ -108,6 +111,9 @@ pub enum HeadAction {
     Send(HeadCommand),
     /// Ask the laser for a line: it speaks only when asked.
     Ask,
+    /// Ask the server anything that it answers at once: how long that takes bounds how long commands
+    /// take, however late all its messages come.
+    Query,
     /// A row was filed.
     Filed {
         /// Its place in the profile.
@@ -167,6 +173,11 @@ impl Acquisition {
         Some(acquisition)
     }
 
+    /// Goes on with what `other` learnt of the line to the server.
+    pub fn keep_line_of(&mut self, other: &Self) {
+        self.control.keep_line_of(&other.control);
+    }
+
     /// Takes in how high the robot's origin stands above the floor, in metres.
     pub fn stands_at(&mut self, origin_height_m: f64) {
         self.control.origin_height_m = Some(origin_height_m);
@@ -183,13 +194,14 @@ impl Acquisition {
             half_fov_rad: std::f64::consts::FRAC_PI_2,
         });
         let profile = reference_profile(view.as_ref(), &self.control);
+        let query = self.control.query_if_due(now);
         let (calibration, actions) =
             Calibration::start(profile, &mut self.control, &self.config, now);
         self.activity = match calibration.is_finished() {
             true => Activity::Idle,
             false => Activity::Calibrating(Box::new(calibration)),
         };
-        actions
+        query.into_iter().chain(actions).collect()
     }
 
     /// Whether a calibration has found the servo law and the small times.
@@ -231,8 +243,14 @@ impl Acquisition {
     fn begin(&mut self, request: SweepRequest, now: Arrival) -> Vec<HeadAction> {
         // First of all, so that whoever sends the commands lets them through.
         let news = self.control.new_reach().map(HeadAction::Reach);
+        let query = self.control.query_if_due(now);
         let limits = self.control.head().tilt().and_then(|axis| axis.limits);
-        let (profile, clipped) = request.profile.clipped(limits);
+        let (mut profile, clipped) = request.profile.clipped(limits);
+        // Where the laser alone found it stuck is known to a degree or two, which is no row's tilt.
+        let read = self.control.clock().latest().is_some_and(|at| self.control.reads_at(at));
+        if self.is_stuck() && !read {
+            profile.tilts.clear();
+        }
         let driving = request.mode == SweepMode::Nodding;
         let profile = match driving {
             true => profile,
@@ -283,7 +301,7 @@ impl Acquisition {
                 actions
             }
         };
-        news.into_iter().chain(actions).collect()
+        news.into_iter().chain(query).chain(actions).collect()
     }
 
     /// Takes note of where the robot's body is, by odometry and inertial unit, in any frame that stays
@@ -311,9 +329,10 @@ impl Acquisition {
     /// Parks the head at `pose`; a sweep that is under way is dropped.
     pub fn park(&mut self, pose: HeadPose, now: Arrival) -> Vec<HeadAction> {
         self.repeat = Repeat::default();
+        let query = self.control.query_if_due(now);
         let (park, commands) = Park::start(pose, &mut self.control, &self.config, now);
         self.activity = Activity::Parking(park);
-        commands.into_iter().map(HeadAction::Send).collect()
+        query.into_iter().chain(commands.into_iter().map(HeadAction::Send)).collect()
     }
 
     /// Whether the head is parked, and how that is known.
@@ -331,6 +350,9 @@ impl Acquisition {
         let limits = self.control.reach().limits();
         let probed = matches!(self.activity, Activity::Probing(_));
         let mut actions = self.pass_on(event, jumped, now);
+        if self.activity != Activity::Idle {
+            actions.extend(self.control.query_if_due(now));
+        }
         self.probe_new_end(limits, &mut actions, now);
         self.repeat_what_was_in_vain(probed, &mut actions, now);
         // First of all, so that whoever takes the scan knows what it could not show.

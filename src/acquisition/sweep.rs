@@ -129,6 +129,7 @@ impl Sweep {
             self.restart_row(control, config, now, &mut actions);
         }
         match &self.step {
+            Step::NeedsClock { .. } if control.awaits_answer(now) => {}
             Step::NeedsClock { .. } if control.clock().latest().is_some() => {
                 self.command(0, false, control, config, now, &mut actions);
             }
@@ -211,15 +212,18 @@ impl Sweep {
         actions.push(HeadAction::Send(command));
         let unknown = Settle { slew_s: 0.0, total_s: config.unknown_settle_s };
         let expected = Span::from_seconds(settle.unwrap_or(unknown).total_s);
-        let lines = Span::from_seconds(4.0 * control.rhythm.interval().seconds())
-            + control.clock().slower_by();
+        let lines =
+            Span::from_seconds(4.0 * control.rhythm.interval().seconds()) + control.slower_by();
+        let on_its_way = control.clock().earliest(now).map_or(Span::ZERO, |sent| in_force - sent);
         self.step = Step::Waiting(Waiting {
             row,
             sent: now,
             in_force,
             settled: settle.map(|_| in_force + expected),
             slew_s: settle.unwrap_or(unknown).slew_s,
-            deadline: now + control.clock().arrival_span(expected + lines) + config.row_timeout(),
+            deadline: now
+                + control.clock().arrival_span(on_its_way + expected + lines)
+                + config.row_timeout(),
             ask_at: control.must_ask().then(|| now + control.clock().arrival_span(expected)),
             asked: false,
             repeated,

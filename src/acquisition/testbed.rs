@@ -110,6 +110,7 @@ enum Message {
     Line(LaserLine),
     Joints(HeadReading),
     Stamped(Stamp),
+    Answer,
 }
 
 /// Level ground and upright walls around the origin, seen by a laser that does not move.
@@ -272,6 +273,12 @@ impl Testbed {
                     books_balance(&scan);
                     finished = Some(*scan);
                 }
+                HeadAction::Query => {
+                    let frame = self.behaviour.frame_s;
+                    let arrives = self.now_s + self.behaviour.up_s;
+                    let answered_s = (arrives / frame).ceil() * frame;
+                    self.send(Message::Answer, answered_s - self.now_s);
+                }
                 HeadAction::Calibrated(report) => self.calibrations.push(*report),
                 HeadAction::Reach(reach) => self.reaches.push(reach),
                 // Its scanner speaks by itself.
@@ -289,6 +296,7 @@ impl Testbed {
                 Message::Line(line) => HeadEvent::Line(line),
                 Message::Joints(reading) => HeadEvent::Joints(*reading),
                 Message::Stamped(stamp) => HeadEvent::Stamped(*stamp),
+                Message::Answer => HeadEvent::Answered,
             };
             let actions = acquisition.handle(&event, self.now());
             if let Some(scan) = self.take(actions) {

@@ -100,7 +100,7 @@ impl Way {
         now: Arrival,
     ) -> Option<QuarterDegrees> {
         let sent = control.clock().earliest(now)?;
-        let in_force = sent + control.timing.command_delay;
+        let in_force = sent + control.command_delay();
         let interval = control.rhythm.interval();
         let mut cast = control.cast_time(line) + interval;
         let half = Span::from_seconds(0.5 * interval.seconds());

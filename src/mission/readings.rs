@@ -23,6 +23,9 @@ impl Running {
         }
         match message {
             Message::Sen(sensor) => self.sensor(sensor, desk),
+            answer if self.rig.answers_line_query(answer) => {
+                self.head_event(&HeadEvent::Answered, desk);
+            }
             Message::MisSta(state) => {
                 if let Some(reading) = self.rig.head_reading(state) {
                     self.joints(reading, desk);

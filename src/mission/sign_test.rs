@@ -59,10 +59,17 @@ impl Running {
         let mut to_come = head.map(poses).unwrap_or_default();
         to_come.reverse();
         let Some(pose) = to_come.pop() else { return self.next_look_or_choose(desk) };
-        let deadline = desk.now + PATIENCE;
+        let deadline = desk.now + self.sign_test_patience();
         self.activity =
             Activity::SignTest(Box::new(SignTest { to_come, pose, seen: Vec::new(), deadline }));
         self.turn_head(pose, desk);
+    }
+
+    /// How long a line at one pose is waited for: on a slow line the command is late, and so is what it
+    /// shows.
+    fn sign_test_patience(&self) -> Span {
+        let late_s = self.acquisition.as_ref().map_or(0.0, Acquisition::obeyed_late_s);
+        PATIENCE + Span::from_seconds(2.0 * late_s)
     }
 
     fn turn_head(&mut self, pose: HeadPose, desk: &mut Desk<'_>) {
@@ -79,6 +86,7 @@ impl Running {
         parked: ParkState,
         desk: &mut Desk<'_>,
     ) {
+        let deadline = desk.now + self.sign_test_patience();
         let Activity::SignTest(test) = &mut self.activity else { return };
         if !parked.covers(line.stamp) {
             return;
@@ -86,7 +94,7 @@ impl Running {
         test.seen.push((test.pose, line.clone()));
         let Some(next) = test.to_come.pop() else { return self.conclude_sign_test(desk) };
         test.pose = next;
-        test.deadline = desk.now + PATIENCE;
+        test.deadline = deadline;
         self.turn_head(next, desk);
     }
 
@@ -141,7 +149,11 @@ impl Running {
             let is = |verdict| verdict == Some(SignVerdict::Inverted);
             self.rig.invert_head(is(pan), is(tilt));
             // The head rests at zero, which is the same under either sign.
-            self.acquisition = Acquisition::for_rig(&self.rig, desk.config.acquisition.clone());
+            let anew = Acquisition::for_rig(&self.rig, desk.config.acquisition.clone());
+            let before = std::mem::replace(&mut self.acquisition, anew);
+            if let (Some(acquisition), Some(before)) = (&mut self.acquisition, &before) {
+                acquisition.keep_line_of(before);
+            }
         }
         self.next_look_or_choose(desk);
     }

@@ -20,6 +20,7 @@ impl Running {
                     desk.out.extend(self.rig.head_commands(command.pan, command.tilt));
                 }
                 HeadAction::Ask => desk.out.extend(self.rig.trigger_command()),
+                HeadAction::Query => desk.out.push(self.rig.line_query()),
                 HeadAction::Filed { .. } => {}
                 HeadAction::Finished(scan) => self.finish_sweep(*scan, desk),
                 HeadAction::Reach(reach) => self.take_reach(&reach, desk),

@@ -2,10 +2,10 @@ use super::drive::{BodySpeed, DriveTrain};
 use super::head::{Demand, HeadPose, HeadReading, JointAngle, ScanHead};
 use super::laser::{Laser, LaserError};
 use super::visibility::{GroundView, Visibility};
-use crate::protocol::command::{Act, Drive, MisPkg, MisPkgForm, MisPkgLink, Order, Set};
+use crate::protocol::command::{Act, Drive, MisPkg, MisPkgForm, MisPkgLink, Order, Query, Set};
 use crate::protocol::message::sen::RangeScanner;
-use crate::protocol::message::{AsTa, LinkState, MisSta};
-use crate::protocol::{Command, Dialect};
+use crate::protocol::message::{AsTa, Conf, LinkState, MisSta};
+use crate::protocol::{Command, Dialect, Message};
 use crate::scan::LaserLine;
 use crate::time::Stamp;
 use nalgebra::Isometry3;
@@ -227,6 +227,17 @@ impl Rig {
     pub fn trigger_command(&self) -> Option<Command> {
         let laser = self.laser.as_ref()?;
         Some(Command::Set(Set::opcode(&laser.type_name, &laser.name, "Scan", None)))
+    }
+
+    /// A question that every server answers at once and that changes nothing: how long its answer takes
+    /// tells how slow the line is.
+    pub fn line_query(&self) -> Command {
+        Command::GetConf(Query::of("Robot"))
+    }
+
+    /// Whether `message` answers [`Self::line_query`].
+    pub fn answers_line_query(&self, message: &Message) -> bool {
+        matches!(message, Message::Conf(Conf::Robot(_)))
     }
 
     /// The DRIVE line for a demanded motion: both sides, in rad/s, never normalised.

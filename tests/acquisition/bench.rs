@@ -28,6 +28,8 @@ pub struct Setting {
     pub readings: bool,
     pub seed: u64,
     pub faults: Vec<FaultSpec>,
+    /// Top speed of the pan-tilt's links in radians per second, instead of its own.
+    pub tilt_speed_rad_s: Option<f64>,
     /// Instead of the class's scanner.
     pub scanner: Option<SensorSpec>,
 }
@@ -73,6 +75,7 @@ impl Bench {
         let unit = PanTiltSpec { name: "CameraPanTilt".to_owned(), ..PanTiltSpec::default() };
         let units = scenario.robots[0].pan_tilt.get_or_insert_with(|| vec![unit]);
         units[0].status = Some(setting.readings);
+        units[0].speed_rad_s = setting.tilt_speed_rad_s.or(units[0].speed_rad_s);
         if let Some(scanner) = &setting.scanner {
             let sensors = &mut scenario.robots[0].sensors;
             sensors.retain(|own| own.kind != scanner.kind);
@@ -108,13 +111,13 @@ impl Bench {
     pub fn calibrate(&mut self) -> CalibrationReport {
         let actions = self.acquisition.calibrate(self.now);
         self.act(actions);
-        for _ in 0..12_000 {
+        for _ in 0..24_000 {
             if let Some(report) = self.calibrated.take() {
                 return report;
             }
             self.step();
         }
-        panic!("a calibration ends within a minute");
+        panic!("a calibration ends within two minutes, however slow the line");
     }
 
     /// Turns the wheels so that the robot drives straight on.
@@ -180,6 +183,9 @@ impl Bench {
             }
             _ => {}
         }
+        if self.rig.answers_line_query(message) {
+            self.event(&HeadEvent::Answered);
+        }
         let reading = match message {
             Message::MisSta(state) => self.rig.head_reading(state),
             Message::AsTa(state) => self.rig.actuator_reading(state),
@@ -207,6 +213,7 @@ impl Bench {
                     let ask = self.rig.trigger_command().unwrap();
                     self.send(&ask);
                 }
+                HeadAction::Query => self.send(&self.rig.line_query()),
                 HeadAction::Filed { .. } | HeadAction::Reach(_) => {}
                 HeadAction::Finished(scan) => self.finished = Some(*scan),
                 HeadAction::Calibrated(report) => self.calibrated = Some(*report),

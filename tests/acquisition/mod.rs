@@ -6,4 +6,5 @@ mod faults;
 mod nod;
 mod planes;
 mod profiles;
+mod slow_line;
 mod triggered;

@@ -1,6 +1,8 @@
 //! The mission as a whole, in lockstep with the stand-in.
 
 use crate::replay::{record, scenario};
+use usar_agent::protocol::Dialect;
+use usar_agent::sim::{FaultKind, FaultSpec, PanTiltSpec};
 
 #[test]
 fn the_place_told_at_the_end_is_one_that_a_sweep_corrected() {
@@ -31,4 +33,32 @@ fn a_rig_that_tilts_but_never_looks_down_stands_still() {
     let warned =
         agent.journal().since(0).iter().any(|note| note.text.contains("cannot see an edge"));
     assert!(warned, "{:?}", agent.journal().since(0));
+}
+
+#[test]
+fn no_head_is_taken_to_turn_the_other_way_round_because_the_line_is_slow() {
+    for (dialect, late_s) in [(Dialect::Ut2004, 2.0), (Dialect::Ut2004, 3.0), (Dialect::Udk, 2.0)] {
+        let name = if dialect == Dialect::Udk { "station_udk" } else { "box" };
+        let mut loaded =
+            usar_agent::files::scenario::load(std::path::Path::new(name), &[]).unwrap();
+        loaded.agent.mission.time_limit_s = 60.0;
+        let files = &mut loaded.files.scenario;
+        let kind = FaultKind::Delay;
+        let late = FaultSpec {
+            at_s: 1.0,
+            for_s: None,
+            robot: None,
+            kind,
+            what: None,
+            value: Some(late_s),
+        };
+        files.faults = vec![late];
+        let unit = PanTiltSpec { name: "CameraPanTilt".to_owned(), ..PanTiltSpec::default() };
+        files.robots[0].pan_tilt.get_or_insert_with(|| vec![unit])[0].status = Some(false);
+        let (agent, _) = record(&loaded);
+        let notes = agent.journal().since(0);
+        let told = |part: &str| notes.iter().any(|note| note.text.contains(part));
+        assert!(told("tilt: turns as believed"), "{dialect:?} {late_s}: {notes:?}");
+        assert!(!told("the other way round"), "{dialect:?} {late_s}: {notes:?}");
+    }
 }

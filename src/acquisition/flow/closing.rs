@@ -37,6 +37,10 @@ impl Flow {
         if let FlowDrive::Rate { .. } = self.way.drive {
             actions.push(HeadAction::Send(control.command_tilt(Demand::Rate(0.0), now)));
         }
+        if control.tilt.last_reading().is_none() {
+            // Its answer tells whether the last commands were obeyed as fast as the others.
+            actions.extend(control.query(now));
+        }
         if !self.awaits_messages(control) {
             return self.finish_closed(control, now, actions);
         }
@@ -47,6 +51,7 @@ impl Flow {
             (true, self.readings_late),
             (stragglers, disorder.lines_late),
             (unsure, IN_TIME_WITHIN),
+            (control.trips().awaits(), control.trips().bound(now)),
         ];
         let latest = late.into_iter().filter(|&(holds, _)| holds).map(|(_, late)| late).max();
         let late = latest.unwrap_or_default().min(LATEST);
@@ -59,6 +64,7 @@ impl Flow {
         let reads = control.tilt.last_reading().is_some();
         control.disorder().grew_since(&self.disorder_before)
             || control.sure_until().is_some()
+            || (!reads && control.trips().awaits())
             || (reads && !self.is_dated(control))
     }
 
@@ -122,7 +128,7 @@ impl Flow {
             self.remarks.push(format!(
                 "{unsure} rows are left out: messages began to come {:.1} s late, and where the tilt was \
                  is not known since",
-                control.clock().slower_by().seconds()
+                control.slower_by().seconds()
             ));
         }
         unsure

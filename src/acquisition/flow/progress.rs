@@ -72,7 +72,7 @@ impl Flow {
     pub(super) fn rests(&self, line: &LaserLine, control: &HeadControl) -> bool {
         // A slow approach moves by little between lines; only readings can tell it from a stop.
         let idle = self.idle_since.map(|since| control.cast_time(line) - since);
-        let late = self.readings_late + control.timing.command_delay;
+        let late = self.readings_late + control.command_delay();
         idle.is_some_and(|idle| idle >= IDLE + late)
             && !control.tilt.moves(control.clock().latest())
     }
