@@ -213,6 +213,13 @@ impl Acquisition {
         self.control.reach().stuck_rad().is_some()
     }
 
+    /// Whether it does not turn and nothing but the laser told so, which tells where it was last seen to
+    /// turn, not where it rests: no row has a place.
+    fn is_stuck_out_of_sight(&self) -> bool {
+        let latest = self.control.clock().latest();
+        self.is_stuck() && !latest.is_some_and(|latest| self.control.reads_at(latest))
+    }
+
     /// Whether the tilt was found to reach less than told so long ago that the next sweep tries it again.
     pub fn tries_again(&self) -> bool {
         self.control.is_worth_a_try()
@@ -232,7 +239,10 @@ impl Acquisition {
         // First of all, so that whoever sends the commands lets them through.
         let news = self.control.new_reach().map(HeadAction::Reach);
         let limits = self.control.head().tilt().and_then(|axis| axis.limits);
-        let (profile, clipped) = request.profile.clipped(limits);
+        let (mut profile, clipped) = request.profile.clipped(limits);
+        if self.is_stuck_out_of_sight() {
+            profile.tilts.clear();
+        }
         let driving = request.mode == SweepMode::Nodding;
         let profile = match driving {
             true => profile,
