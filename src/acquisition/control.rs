@@ -199,8 +199,12 @@ impl HeadControl {
                 if self.rhythm.is_whole(line) {
                     let cast = self.cast_time(line);
                     let expected = self.expected_of(cast);
-                    self.still.note(line, cast, expected.as_ref());
-                    self.note_came_free(cast);
+                    // While a joint of unknown law may still turn nothing is expected of a line; what
+                    // was seen of it at rest, row by row, stays evidence.
+                    if expected.is_some() || self.reads_at(cast) {
+                        self.still.note(line, cast, expected.as_ref());
+                        self.note_came_free(cast);
+                    }
                 }
                 let step = self.scanner_clock.observe(line.stamp + SCANNER_LAG, now);
                 if self.clock.latest().is_some() { ClockStep::Steady } else { step }

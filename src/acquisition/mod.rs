@@ -225,6 +225,13 @@ impl Acquisition {
         self.control.reach().stuck_rad().is_some()
     }
 
+    /// Whether it does not turn and nothing but the laser told so, which tells where it was last seen to
+    /// turn, not where it rests: no row has a place.
+    fn is_stuck_out_of_sight(&self) -> bool {
+        let latest = self.control.clock().latest();
+        self.is_stuck() && !latest.is_some_and(|latest| self.control.reads_at(latest))
+    }
+
     /// Whether the tilt was found to reach less than told so long ago that the next sweep tries it again.
     pub fn tries_again(&self) -> bool {
         self.control.is_worth_a_try()
@@ -246,9 +253,7 @@ impl Acquisition {
         let query = self.control.query_if_due(now);
         let limits = self.control.head().tilt().and_then(|axis| axis.limits);
         let (mut profile, clipped) = request.profile.clipped(limits);
-        // Where the laser alone found it stuck is known to a degree or two, which is no row's tilt.
-        let read = self.control.clock().latest().is_some_and(|at| self.control.reads_at(at));
-        if self.is_stuck() && !read {
+        if self.is_stuck_out_of_sight() {
             profile.tilts.clear();
         }
         let driving = request.mode == SweepMode::Nodding;

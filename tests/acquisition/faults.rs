@@ -119,7 +119,16 @@ fn fault(kind: FaultKind, at_s: f64, value: Option<f64>) -> FaultSpec {
 /// Takes model scans with a fault at a robot that sends no tilt readings. No row may lie elsewhere than
 /// it was taken, beyond what a sweep in motion without readings is off by.
 fn without_readings(scenario: &'static str, fault: FaultSpec, scans: usize) -> (Bench, Vec<Scan>) {
-    let setting = Setting { scenario, faults: vec![fault], ..Setting::new(Dialect::Ut2004, false) };
+    without_readings_of(Dialect::Ut2004, scenario, fault, scans)
+}
+
+fn without_readings_of(
+    dialect: Dialect,
+    scenario: &'static str,
+    fault: FaultSpec,
+    scans: usize,
+) -> (Bench, Vec<Scan>) {
+    let setting = Setting { scenario, faults: vec![fault], ..Setting::new(dialect, false) };
     let mut bench = Bench::new(&setting, AcquisitionConfig::default());
     bench.calibrate();
     let scans: Vec<Scan> = (0..scans).map(|_| bench.take(SweepRequest::model())).collect();
@@ -129,6 +138,82 @@ fn without_readings(scenario: &'static str, fault: FaultSpec, scans: usize) -> (
         assert!(worst <= 0.4, "{scenario}: {worst}° off, {errors:?}: {:?}", scan.remarks);
     }
     (bench, scans)
+}
+
+/// The station, where nothing lies ahead, on either kind of server.
+const STATIONS: [(Dialect, &str); 2] =
+    [(Dialect::Ut2004, "station"), (Dialect::Udk, "station_udk")];
+
+fn tells(scan: &Scan, part: &str) -> bool {
+    scan.remarks.iter().any(|remark| remark.contains(part))
+}
+
+#[test]
+fn a_tilt_without_readings_that_sticks_before_its_law_is_found_files_no_false_row() {
+    for (dialect, scenario) in STATIONS {
+        for at_s in [1.0, 9.0, 15.0, 22.0] {
+            let stuck = fault(FaultKind::TiltStuck, at_s, None);
+            let (bench, scans) = without_readings_of(dialect, scenario, stuck, 2);
+            let reach = bench.acquisition.control().reach();
+            assert!(reach.is_narrowed(), "{scenario} {at_s}: {reach}: {:?}", scans[0].remarks);
+            assert!(
+                !scans[0].complete && tells(&scans[0], "rows are left out"),
+                "{scenario} {at_s}: {:?}",
+                scans[0].remarks
+            );
+        }
+    }
+}
+
+#[test]
+fn limits_narrower_than_told_before_the_law_is_found_leave_the_rows_within() {
+    for (dialect, scenario) in STATIONS {
+        for (at_s, limit_rad) in [(3.0, 0.1), (20.0, 0.2)] {
+            let limit = fault(FaultKind::TiltLimits, at_s, Some(limit_rad));
+            let (_, scans) = without_readings_of(dialect, scenario, limit, 2);
+            let filed = scans[1].filed;
+            assert!(filed >= 10, "{scenario} {limit_rad}: {filed}: {:?}", scans[1].remarks);
+        }
+    }
+}
+
+#[test]
+fn a_tilt_without_readings_that_sticks_for_a_while_loses_the_rows_of_that_while() {
+    for (dialect, scenario) in STATIONS {
+        for (at_s, for_s) in [(40.0, 4.0), (55.0, 4.0), (55.0, 8.0), (60.0, 8.0), (55.0, 15.0)] {
+            let stuck = FaultSpec { for_s: Some(for_s), ..fault(FaultKind::TiltStuck, at_s, None) };
+            let (bench, scans) = without_readings_of(dialect, scenario, stuck, 1);
+            let what = format!("{scenario}, {for_s} s from {at_s} s: {:?}", scans[0].remarks);
+            assert!(!scans[0].complete && scans[0].filed >= 60, "{} {what}", scans[0].filed);
+            assert!(tells(&scans[0], "rows are left out"), "{what}");
+            assert!(!bench.acquisition.is_stuck(), "{what}");
+        }
+    }
+}
+
+#[test]
+fn limits_met_on_the_way_to_the_first_row_leave_out_the_rows_beyond() {
+    for (dialect, scenario) in STATIONS {
+        for limit_rad in [0.25, 0.35] {
+            let limit = fault(FaultKind::TiltLimits, 3.0, Some(limit_rad));
+            let (_, scans) = without_readings_of(dialect, scenario, limit, 3);
+            for scan in &scans {
+                let what = format!("{scenario} {limit_rad}: {:?}", scan.remarks);
+                assert!(scan.filed >= 100, "{} {what}", scan.filed);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_tilt_found_stuck_by_the_laser_alone_files_nothing() {
+    for (dialect, scenario) in STATIONS {
+        let stuck = fault(FaultKind::TiltStuck, 40.0, None);
+        let (bench, scans) = without_readings_of(dialect, scenario, stuck, 3);
+        assert!(bench.acquisition.is_stuck(), "{scenario}: {:?}", scans[2].remarks);
+        assert_eq!(scans[2].filed, 0, "{scenario}: {:?}", scans[2].remarks);
+        assert!(tells(&scans[2], "no row of the profile can be reached"));
+    }
 }
 
 #[test]
