@@ -10,7 +10,7 @@ use crate::export::run_folder::trinary_map;
 use crate::export::tum::{self, TimedPose};
 use crate::files::replace::replace_file;
 use crate::mapping::{
-    Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations, TurnSource,
+    Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations, MotionSource,
     UpdateReport, curved_observations, observations,
 };
 use crate::scan::RangeImage;
@@ -110,7 +110,7 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
             match &odometry {
                 Some(poses) => {
                     let increment = poses[k - 1].pose.inverse() * poses[k].pose;
-                    mapper.predict(&increment, TurnSource::Wheels);
+                    mapper.predict(&increment, MotionSource::Wheels);
                 }
                 None => mapper.predict_with(&Isometry3::identity(), &unknown_motion()),
             }

@@ -42,7 +42,7 @@ pub use landmark::{Landmark, LandmarkId};
 pub use mask::{MASK_CELL_M, PlaneMask};
 pub use mip::{Mip, MipConfig};
 pub use observation::{Observation, observations};
-pub use odometry::{InertialNoise, Motion, OdometryNoise, TurnSource, tilted_increment};
+pub use odometry::{InertialNoise, Motion, OdometryNoise, MotionSource, tilted_increment};
 pub use report::{
     Addition, Association, LEVER_M, MovedKeyframe, Refusal, RefusalReason, UpdateReport,
     WeakDirection, weak_directions,
@@ -137,7 +137,7 @@ impl Mapper {
 
     /// Takes in one odometry increment, the robot's pose now in its own frame before, and what
     /// measured the turn in it.
-    pub fn predict(&mut self, before_from_after: &Isometry3<f64>, source: TurnSource) {
+    pub fn predict(&mut self, before_from_after: &Isometry3<f64>, source: MotionSource) {
         self.motion.append(before_from_after, source);
     }
 

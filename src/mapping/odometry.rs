@@ -37,11 +37,11 @@ pub struct OdometryNoise {
     pub inertial: InertialNoise,
 }
 
-/// How wrong the change of attitude is that an inertial unit gives, and what follows from it.
+/// How wrong the changes of attitude and place are that an inertial unit gives, and what follows from them.
 ///
-/// USARSim's unit errs by 5 % of each step's change of each angle, independently from step to step, and
-/// writes two decimals (protocol reference, section 5.2): the spread grows with the root of the sum of
-/// the squared steps, not with time or way.
+/// USARSim's unit errs by 5 % of each step's change of each angle and by 5 % of its length in each coordinate,
+/// independently from step to step, and writes two decimals (protocol reference, section 5.2): the spread
+/// grows with the root of the sum of the squared steps, not with time or way.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct InertialNoise {
@@ -56,20 +56,38 @@ pub struct InertialNoise {
     /// Pitch and roll error in radians per metre of path: the body rocks between readings.
     /// Valid: 0 to 1.
     pub attitude_per_m: f64,
+    /// Place, fixed part of any motion, in metres: the resolution of two readings. Valid: above 0.
+    pub fixed_m: f64,
+    /// Place for each root of a metre of path, in metres: a step's share times the root of its length, which
+    /// is 0.1 m at half a metre a second. Valid: 0 to 1.
+    pub place_per_root_m: f64,
+    /// Place per metre of path: the turn of the unit's frame in the map's, which the resolution of the heading
+    /// leaves open. Valid: 0 to 1.
+    pub place_per_m: f64,
 }
 
 impl Default for InertialNoise {
     fn default() -> Self {
-        Self { fixed_rad: 0.006, step_share: 0.06, height_per_m: 0.015, attitude_per_m: 0.004 }
+        Self {
+            fixed_rad: 0.006,
+            step_share: 0.06,
+            height_per_m: 0.015,
+            attitude_per_m: 0.004,
+            fixed_m: 0.006,
+            place_per_root_m: 0.02,
+            place_per_m: 0.006,
+        }
     }
 }
 
-/// What a turn was measured by.
+/// What an increment of motion was measured by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum TurnSource {
+pub enum MotionSource {
     /// The wheels of both sides.
     Wheels,
-    /// An inertial unit.
+    /// The way by the wheels, the turn by an inertial unit.
+    InertialTurn,
+    /// Way and turn by an inertial unit.
     Inertial,
 }
 
@@ -104,6 +122,10 @@ pub struct Motion {
     pub inertial_turn_rad: f64,
     /// Sum of the squares of those turns, step by step, in rad².
     pub inertial_steps_rad2: f64,
+    /// Part of the path that an inertial unit's places gave, in metres.
+    pub inertial_way_m: f64,
+    /// Turns on that part, in radians.
+    pub inertial_way_turn_rad: f64,
     /// Covariance of parts of the motion that were measured otherwise, in the frame at the beginning.
     pub measured: Matrix6<f64>,
 }
@@ -117,14 +139,16 @@ impl Default for Motion {
             inertial_path_m: 0.0,
             inertial_turn_rad: 0.0,
             inertial_steps_rad2: 0.0,
+            inertial_way_m: 0.0,
+            inertial_way_turn_rad: 0.0,
             measured: Matrix6::zeros(),
         }
     }
 }
 
 impl Motion {
-    /// Appends one odometry increment whose turn `source` measured.
-    pub fn append(&mut self, before_from_after: &Isometry3<f64>, source: TurnSource) {
+    /// Appends one increment that `source` measured.
+    pub fn append(&mut self, before_from_after: &Isometry3<f64>, source: MotionSource) {
         if self.measured != Matrix6::zeros() {
             self.append_measured(before_from_after, &Matrix6::zeros());
         } else {
@@ -135,10 +159,14 @@ impl Motion {
         let turn_rad = before_from_after.rotation.angle();
         self.path_m += path_m;
         self.turn_rad += turn_rad;
-        if source == TurnSource::Inertial {
+        if source != MotionSource::Wheels {
             self.inertial_path_m += path_m;
             self.inertial_turn_rad += turn_rad;
             self.inertial_steps_rad2 += turn_rad * turn_rad;
+        }
+        if source == MotionSource::Inertial {
+            self.inertial_way_m += path_m;
+            self.inertial_way_turn_rad += turn_rad;
         }
     }
 
@@ -176,9 +204,19 @@ impl OdometryNoise {
         let rest = if motion.is_still() { REST_SHARE } else { 1.0 };
         let fixed_m = rest * self.fixed_m;
         let inertial = &self.inertial;
+        let unit_way = motion.inertial_way_m;
+        let (wheel_way, wheel_way_turn) = (path - unit_way, turn - motion.inertial_way_turn_rad);
+        let only_unit_way = !motion.is_still() && wheel_way == 0.0 && wheel_way_turn == 0.0;
+        let place_fixed_m = if only_unit_way { inertial.fixed_m } else { fixed_m };
         let only_inertial = !motion.is_still() && wheel_path == 0.0 && wheel_turn == 0.0;
         let fixed_rad = if only_inertial { inertial.fixed_rad } else { rest * self.fixed_rad };
-        let position = sum(&[fixed_m, self.position_per_m * path, self.position_per_rad * turn]);
+        let position = sum(&[
+            place_fixed_m,
+            self.position_per_m * wheel_way,
+            self.position_per_rad * wheel_way_turn,
+            inertial.place_per_root_m * unit_way.sqrt(),
+            inertial.place_per_m * unit_way,
+        ]);
         let heading = sum(&[
             fixed_rad,
             self.heading_per_m * wheel_path,
@@ -197,8 +235,10 @@ impl OdometryNoise {
             position, position, height, attitude, attitude, heading,
         ));
         // A heading error that grows along the way displaces the end sideways by half the way; when
-        // it grew is not known, so as much again is added that is not tied to the final heading.
-        let reach = motion.before_from_after.translation.vector;
+        // it grew is not known, so as much again is added that is not tied to the final heading. An
+        // inertial unit's places do not hang on its heading.
+        let by_wheels = if path > 0.0 { wheel_way / path } else { 0.0 };
+        let reach = motion.before_from_after.translation.vector * by_wheels;
         let (along_y, along_x) = (0.5 * reach.x, -0.5 * reach.y);
         let twice = 2.0 * heading;
         covariance[(0, 0)] += twice * along_x * along_x;
@@ -261,7 +301,7 @@ mod tests {
         let mut motion = Motion::default();
         for _ in 0..400 {
             let rounded = Isometry3::from_parts(Translation3::identity(), turn);
-            motion.append(&rounded, TurnSource::Inertial);
+            motion.append(&rounded, MotionSource::InertialTurn);
         }
         let noise = OdometryNoise::default();
         assert_eq!(noise.covariance(&motion), noise.covariance(&Motion::default()));
@@ -273,18 +313,18 @@ mod tests {
             t in prop::array::uniform3(-8.0..8.0f64), turn in -3.0..3.0f64
         ) {
             let mut motion = Motion::default();
-            motion.append(&Isometry3::new(Vector3::from(t), Vector3::z() * turn), TurnSource::Wheels);
+            motion.append(&Isometry3::new(Vector3::from(t), Vector3::z() * turn), MotionSource::Wheels);
             prop_assert!(least_eigenvalue(&OdometryNoise::default().covariance(&motion)) > 0.0);
         }
 
         #[test]
         fn noise_does_not_depend_on_how_a_straight_way_is_cut(pieces in 1..40_usize) {
             let mut whole = Motion::default();
-            whole.append(&Isometry3::translation(2.0, 0.0, 0.0), TurnSource::Wheels);
+            whole.append(&Isometry3::translation(2.0, 0.0, 0.0), MotionSource::Wheels);
             let mut cut = Motion::default();
             for _ in 0..pieces {
                 let piece = Isometry3::translation(2.0 / pieces as f64, 0.0, 0.0);
-                cut.append(&piece, TurnSource::Wheels);
+                cut.append(&piece, MotionSource::Wheels);
             }
             let noise = OdometryNoise::default();
             prop_assert!((noise.covariance(&whole) - noise.covariance(&cut)).norm() < 1e-9);
@@ -307,8 +347,8 @@ mod tests {
     #[test]
     fn a_way_out_and_back_is_not_certain() {
         let mut motion = Motion::default();
-        motion.append(&Isometry3::translation(3.0, 0.0, 0.0), TurnSource::Wheels);
-        motion.append(&Isometry3::translation(-3.0, 0.0, 0.0), TurnSource::Wheels);
+        motion.append(&Isometry3::translation(3.0, 0.0, 0.0), MotionSource::Wheels);
+        motion.append(&Isometry3::translation(-3.0, 0.0, 0.0), MotionSource::Wheels);
         assert!(motion.before_from_after.translation.vector.norm() < 1e-12);
         assert!(OdometryNoise::default().covariance(&motion)[(0, 0)] > 0.2 * 0.2);
     }
@@ -316,7 +356,7 @@ mod tests {
     #[test]
     fn an_inertial_turn_is_as_uncertain_as_its_steps() {
         let step = Isometry3::rotation(Vector3::z() * 0.1);
-        let heading_sigma = |source: TurnSource| {
+        let heading_sigma = |source: MotionSource| {
             let mut motion = Motion::default();
             for _ in 0..16 {
                 motion.append(&step, source);
@@ -325,17 +365,17 @@ mod tests {
         };
         // 16 steps of 0.1 rad: the root of the sum of the squares is 0.4 rad.
         let expected = 0.006_f64.hypot(0.06 * 0.4);
-        assert!((heading_sigma(TurnSource::Inertial) - expected).abs() < 1e-12);
-        assert!(heading_sigma(TurnSource::Wheels) > 5.0 * expected);
+        assert!((heading_sigma(MotionSource::InertialTurn) - expected).abs() < 1e-12);
+        assert!(heading_sigma(MotionSource::Wheels) > 5.0 * expected);
     }
 
     #[test]
     fn one_step_without_the_inertial_unit_is_charged_to_the_wheels() {
         let metre = Isometry3::translation(1.0, 0.0, 0.0);
         let mut motion = Motion::default();
-        motion.append(&metre, TurnSource::Inertial);
+        motion.append(&metre, MotionSource::InertialTurn);
         let told = OdometryNoise::default().covariance(&motion)[(2, 2)];
-        motion.append(&metre, TurnSource::Wheels);
+        motion.append(&metre, MotionSource::Wheels);
         assert!(OdometryNoise::default().covariance(&motion)[(2, 2)] > 4.0 * told);
     }
 }

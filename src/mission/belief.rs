@@ -13,6 +13,7 @@ use crate::mapping::{
     Mapper, MapperConfig, Mode, ScanErrors, ScanObservations, UpdateReport, curved_observations,
     observations,
 };
+use crate::robot::InsReading;
 use crate::scan::{RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
@@ -74,6 +75,9 @@ pub struct BeliefConfig {
     pub end_beam: usize,
     /// Standard deviation of roll and pitch as the inertial unit gives them, in radians.
     pub attitude_sigma_rad: f64,
+    /// Whether the way between sweeps is taken from the places of an inertial unit, where it tells any,
+    /// instead of from the wheels alone.
+    pub inertial_places: bool,
     /// Turn rate above which a line taken under way is not mapped, in rad/s: its heading is off by
     /// the rate times the uncertainty of its time.
     pub mapped_turn_rps: f64,
@@ -88,6 +92,7 @@ impl Default for BeliefConfig {
             first_beam: 25,
             end_beam: 156,
             attitude_sigma_rad: 0.01,
+            inertial_places: true,
             mapped_turn_rps: 0.08,
         }
     }
@@ -257,9 +262,12 @@ impl Belief {
         self.motion.last_attitude()
     }
 
-    /// Takes in an attitude reading.
-    pub fn take_attitude(&mut self, attitude: BodyAttitude) {
-        self.motion.attitude(attitude);
+    /// Takes in a reading of an inertial unit.
+    pub fn take_inertial(&mut self, reading: &InsReading) {
+        self.motion.attitude(reading.into());
+        if let Some(place) = reading.place.filter(|_| self.config.inertial_places) {
+            self.motion.place(place);
+        }
     }
 
     /// Takes in a wheel odometry reading of the time `stamp`.
@@ -338,13 +346,12 @@ impl Belief {
 
     /// Tells the inertial unit's error from the pose that a sweep has given.
     fn settle_attitude(&mut self, world_from_robot: &Isometry3<f64>) {
-        // The paper's filter takes its map for true and knows no honest deviation.
-        if self.mapper.config().mode == Mode::Mip {
-            return;
-        }
         let (roll_rad, pitch_rad, heading_rad) = world_from_robot.rotation.euler_angles();
         let covariance = self.mapper.covariance();
-        let sigma_rad = covariance[(3, 3)].max(covariance[(4, 4)]).sqrt();
+        // The paper's filter takes its map for true and knows no honest deviation.
+        let is_honest = self.mapper.config().mode != Mode::Mip;
+        let told_rad = covariance[(3, 3)].max(covariance[(4, 4)]).sqrt();
+        let sigma_rad = if is_honest { told_rad } else { f64::INFINITY };
         self.motion.settle_attitude(&BodyAttitude { roll_rad, pitch_rad, heading_rad }, sigma_rad);
     }
 

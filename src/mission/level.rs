@@ -1,4 +1,4 @@
-//! What an inertial unit's roll and pitch are off by.
+//! What an inertial unit's angles are off by.
 //!
 //! USARSim's unit adds up the changes of each angle and errs by 5 % of every step of them (protocol
 //! reference, section 5.2): each kerb and ramp leaves it some milliradians further off, for good. Where planes
@@ -6,6 +6,7 @@
 //! so is what it reads next.
 
 use super::motion::BodyAttitude;
+use crate::geometry::wrap_pi;
 use serde::{Deserialize, Serialize};
 
 /// Standard deviation of roll and pitch up to which a pose tells the unit's error, in radians: less than the
@@ -17,6 +18,7 @@ const WELL_KNOWN_RAD: f64 = 0.003;
 pub(super) struct LevelDrift {
     roll_rad: f64,
     pitch_rad: f64,
+    heading_rad: f64,
     /// Sum of the squared steps of both angles since the error was told, in rad².
     steps_rad2: f64,
     last: Option<BodyAttitude>,
@@ -36,7 +38,7 @@ impl LevelDrift {
         BodyAttitude {
             roll_rad: read.roll_rad - self.roll_rad,
             pitch_rad: read.pitch_rad - self.pitch_rad,
-            ..*read
+            heading_rad: wrap_pi(read.heading_rad - self.heading_rad),
         }
     }
 
@@ -46,10 +48,14 @@ impl LevelDrift {
         step_share * self.steps_rad2.sqrt()
     }
 
-    /// Takes `known` for the attitude at the last reading, if its roll and pitch are known to
+    /// Takes the heading of `known` for that at the last reading, and its roll and pitch if they are known to
     /// `sigma_rad` well enough for that.
     pub(super) fn settle(&mut self, known: &BodyAttitude, sigma_rad: f64) {
-        let Some(read) = self.last.filter(|_| sigma_rad <= WELL_KNOWN_RAD) else { return };
+        let Some(read) = self.last else { return };
+        self.heading_rad = wrap_pi(read.heading_rad - known.heading_rad);
+        if sigma_rad > WELL_KNOWN_RAD {
+            return;
+        }
         self.roll_rad = read.roll_rad - known.roll_rad;
         self.pitch_rad = read.pitch_rad - known.pitch_rad;
         self.steps_rad2 = 0.0;
@@ -59,6 +65,16 @@ impl LevelDrift {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_heading_is_always_taken_over() {
+        let mut drift = LevelDrift::default();
+        let turned = |heading_rad| BodyAttitude { heading_rad, ..BodyAttitude::default() };
+        drift.note(turned(3.1));
+        drift.settle(&turned(-3.13), f64::INFINITY);
+        let now = drift.corrected(&turned(-3.1)).heading_rad;
+        assert!((now - wrap_pi(-3.13 + (std::f64::consts::TAU - 6.2))).abs() < 1e-12, "{now}");
+    }
 
     fn pitched(pitch_rad: f64) -> BodyAttitude {
         BodyAttitude { pitch_rad, ..BodyAttitude::default() }

@@ -14,6 +14,7 @@ mod event;
 mod floor;
 mod journal;
 mod leaps;
+mod inertial_way;
 mod ledger;
 mod leg;
 mod level;

@@ -1,11 +1,12 @@
 //! From wheel and inertial readings to one increment of motion at a time.
 
+use super::inertial_way::InertialWay;
 use super::leaps::Leaps;
 use super::level::LevelDrift;
 use crate::geometry::wrap_pi;
-use crate::mapping::{TurnSource, tilted_increment};
-use crate::robot::{InsReading, OdometryReading};
-use nalgebra::Isometry3;
+use crate::mapping::{MotionSource, tilted_increment};
+use crate::robot::{InertialPlace, InsReading, OdometryReading};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// A planar pose: x and y in metres, heading in radians, left positive.
@@ -38,6 +39,12 @@ pub struct BodyAttitude {
     pub heading_rad: f64,
 }
 
+impl BodyAttitude {
+    fn rotation(&self) -> UnitQuaternion<f64> {
+        UnitQuaternion::from_euler_angles(self.roll_rad, self.pitch_rad, self.heading_rad)
+    }
+}
+
 impl From<&InsReading> for BodyAttitude {
     fn from(reading: &InsReading) -> Self {
         let InsReading { roll_rad, pitch_rad, yaw_rad, .. } = *reading;
@@ -45,12 +52,11 @@ impl From<&InsReading> for BodyAttitude {
     }
 }
 
-/// Joins wheel odometry and inertial attitude into increments.
+/// Joins wheel odometry and an inertial unit's readings into increments.
 ///
-/// The wheels say how far, the inertial unit says how much the robot turned: skid-steered wheels
-/// count a turn that the ground gives them only in part. Without an inertial unit the wheels say
-/// both. Where wheels are missing there is no increment at all: INS positions start from the truth
-/// and are not used.
+/// The inertial unit says how much the robot turned: skid-steered wheels count a turn that the ground gives
+/// them only in part. It also says how far the robot went, if it tells places; else the wheels do. Without an
+/// inertial unit the wheels say both; where wheels are missing there is no increment at all.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MotionTracker {
     wheels: Option<PlanarPose>,
@@ -61,6 +67,7 @@ pub struct MotionTracker {
     drift: LevelDrift,
     wheel_leaps: Leaps<PlanarPose>,
     attitude_leaps: Leaps<BodyAttitude>,
+    way: InertialWay,
 }
 
 /// A robot drives no farther than this between two readings of its wheels, unless some were lost; nor does it
@@ -84,6 +91,11 @@ impl MotionTracker {
         }
     }
 
+    /// Takes in a place that an inertial unit tells.
+    pub fn place(&mut self, place: InertialPlace) {
+        self.way.place(place);
+    }
+
     /// The last attitude read, without what the unit is known to be off by.
     pub fn last_attitude(&self) -> Option<BodyAttitude> {
         self.attitude.map(|read| self.drift.corrected(&read))
@@ -95,15 +107,18 @@ impl MotionTracker {
         self.drift.sigma_rad(step_share)
     }
 
-    /// Takes in the attitude at the last reading as planes tell it, roll and pitch to `sigma_rad`.
+    /// Takes in the attitude at the last reading as a sweep tells it, roll and pitch to `sigma_rad`.
     pub fn settle_attitude(&mut self, known: &BodyAttitude, sigma_rad: f64) {
+        if let Some(read) = self.attitude {
+            self.way.settle(known.heading_rad, read.heading_rad);
+        }
         self.drift.settle(known, sigma_rad);
     }
 
     /// Takes in a wheel odometry pose; gives the robot's pose now in its own frame at the reading
-    /// before, and what measured its turn. `None` for the first reading, which is only the origin, and for
+    /// before, and what measured it. `None` for the first reading, which is only the origin, and for
     /// one that leaps, until the next is near it.
-    pub fn wheels(&mut self, wheels: PlanarPose) -> Option<(Isometry3<f64>, TurnSource)> {
+    pub fn wheels(&mut self, wheels: PlanarPose) -> Option<(Isometry3<f64>, MotionSource)> {
         let apart_m = |a: &PlanarPose, b: &PlanarPose| (b.x_m - a.x_m).hypot(b.y_m - a.y_m);
         let is_near = |a: &PlanarPose, b: &PlanarPose| apart_m(a, b) <= LEAP_M;
         if !self.wheel_leaps.believes(self.wheels.as_ref(), &wheels, is_near) {
@@ -122,19 +137,27 @@ impl MotionTracker {
             (Some(a), Some(b)) => {
                 let [a, b] = [a, b].map(|read| self.drift.corrected(&read));
                 let (before, after) = ((a.roll_rad, a.pitch_rad), (b.roll_rad, b.pitch_rad));
-                (wrap_pi(b.heading_rad - a.heading_rad), before, after, TurnSource::Inertial)
+                (wrap_pi(b.heading_rad - a.heading_rad), before, after, MotionSource::InertialTurn)
             }
-            _ => (wheel_turn, (0.0, 0.0), (0.0, 0.0), TurnSource::Wheels),
+            _ => (wheel_turn, (0.0, 0.0), (0.0, 0.0), MotionSource::Wheels),
         };
         let (sin, cos) = (0.5 * turn).sin_cos();
-        let increment = tilted_increment(
+        let mut increment = tilted_increment(
             cos * along - sin * across,
             sin * along + cos * across,
             turn,
             level_before,
             level_after,
         );
-        Some((increment, source))
+        let Some(attitude) = attitude_before.filter(|_| source == MotionSource::InertialTurn) else {
+            return Some((increment, source));
+        };
+        let map_from_before = self.drift.corrected(&attitude).rotation();
+        let by_wheels = map_from_before * increment.translation.vector;
+        let Some(way) = self.way.way(by_wheels.xy()) else { return Some((increment, source)) };
+        increment.translation.vector =
+            map_from_before.inverse() * Vector3::new(way.x, way.y, by_wheels.z);
+        Some((increment, MotionSource::Inertial))
     }
 
     /// Forgets the last wheel reading: after a reconnect the odometry of a new robot starts at zero.
@@ -164,7 +187,7 @@ mod tests {
             y += 0.05 * (heading + 0.5 * turn).sin();
             heading += turn;
             let (increment, source) = tracker.wheels(pose(x, y, wrap_pi(heading))).unwrap();
-            assert_eq!(source, TurnSource::Wheels);
+            assert_eq!(source, MotionSource::Wheels);
             world *= increment;
         }
         let expected = nalgebra::Rotation2::new(-0.3) * nalgebra::Vector2::new(x, y);
@@ -178,7 +201,7 @@ mod tests {
         tracker.wheels(pose(0.0, 0.0, 0.0));
         tracker.attitude(BodyAttitude { heading_rad: 0.5, ..Default::default() });
         let (increment, source) = tracker.wheels(pose(0.0, 0.0, FRAC_PI_2)).unwrap();
-        assert_eq!(source, TurnSource::Inertial);
+        assert_eq!(source, MotionSource::InertialTurn);
         assert!((increment.rotation.euler_angles().2 - 0.5).abs() < 1e-12);
     }
 

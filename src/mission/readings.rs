@@ -5,7 +5,7 @@ use super::running::{Activity, Desk, Running, Verdict};
 use crate::acquisition::{HeadEvent, ParkState};
 use crate::protocol::message::Sen;
 use crate::protocol::{Dialect, Message};
-use crate::robot::{HeadPose, HeadReading, InsReading, OdometryReading};
+use crate::robot::{HeadPose, HeadReading, OdometryReading};
 use crate::scan::{LaserLine, RangeImage};
 use crate::time::{Span, Stamp};
 use nalgebra::Isometry3;
@@ -62,8 +62,8 @@ impl Running {
                     self.take_odometry(&reading);
                 }
             }
-            Sen::Ins(message) => self.take_attitude(&self.rig.ins(message)),
-            Sen::Inu(message) => self.take_attitude(&self.rig.inu(message)),
+            Sen::Ins(message) => self.belief.take_inertial(&self.rig.ins(message)),
+            Sen::Inu(message) => self.belief.take_inertial(&self.rig.inu(message)),
             Sen::RangeScanner(message) => {
                 match self.rig.laser_line(message, Some(self.latest_stamp)) {
                     Ok(line) if desk.config.mission.observe => self.observed_line(&line, desk),
@@ -81,10 +81,6 @@ impl Running {
             }
             _ => {}
         }
-    }
-
-    fn take_attitude(&mut self, reading: &InsReading) {
-        self.belief.take_attitude(reading.into());
     }
 
     fn take_odometry(&mut self, reading: &OdometryReading) {

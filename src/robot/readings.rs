@@ -7,7 +7,7 @@ use crate::geometry::wrap_pi;
 use crate::protocol::message::sen;
 use crate::scan::Return;
 use crate::time::Stamp;
-use nalgebra::{Isometry2, Isometry3, Point3, UnitQuaternion, Vector2};
+use nalgebra::{Isometry2, Isometry3, Point3, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Where odometry believes the robot is, relative to where it was created or last reset.
@@ -30,11 +30,29 @@ pub struct InsReading {
     pub pitch_rad: f64,
     /// Yaw in radians, counter-clockwise, in (-π, π].
     pub yaw_rad: f64,
-    /// Position in the world. It starts from the truth, so it may be reported and compared, never
-    /// used to localise.
-    pub position_m: Option<Point3<f64>>,
+    /// Place in the unit's own level frame, if it gives one.
+    pub place: Option<InertialPlace>,
     /// When, if the server says.
     pub stamp: Option<Stamp>,
+}
+
+/// Where an inertial unit has added the robot's way up to.
+///
+/// It was begun at the true place, so it is no number to localise by; the way since an earlier one is, and
+/// nothing else can be had of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InertialPlace(Point3<f64>);
+
+impl InertialPlace {
+    /// A place of a unit's own frame, in metres.
+    pub fn new(x_m: f64, y_m: f64, z_m: f64) -> Self {
+        Self(Point3::new(x_m, y_m, z_m))
+    }
+
+    /// The way from `before` to here in the unit's level frame, in metres.
+    pub fn since(&self, before: &Self) -> Vector3<f64> {
+        self.0 - before.0
+    }
 }
 
 /// One sonar's echo.
@@ -91,7 +109,7 @@ impl Rig {
         OdometryReading { odom_from_robot, stamp: message.time }
     }
 
-    /// Attitude and, for comparison only, position of the inertial sensor.
+    /// Attitude and place of the inertial sensor.
     pub fn ins(&self, message: &sen::Ins) -> InsReading {
         attitude(message.pose.orientation, Some(message.pose.location), message.time)
     }
@@ -166,7 +184,7 @@ fn attitude(orientation: [f64; 3], location: Option<[f64; 3]>, stamp: Option<Sta
         roll_rad: wrap_pi(roll),
         pitch_rad: wrap_pi(-pitch),
         yaw_rad: wrap_pi(-yaw),
-        position_m: location.map(core_point),
+        place: location.map(core_point).map(InertialPlace),
         stamp,
     }
 }

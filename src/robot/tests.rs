@@ -235,7 +235,7 @@ fn readings_change_sides_between_wire_and_core() {
     assert!((ins.pitch_rad - (std::f64::consts::TAU - 6.23)).abs() < 1e-12);
     assert!((ins.yaw_rad + 0.10).abs() < 1e-12);
     assert!((ins.world_from_robot * Vector3::x()).z < 0.0, "the nose is down");
-    assert_eq!(ins.position_m, Some(Point3::new(0.80, 7.28, 0.45)));
+    assert_eq!(ins.place, Some(InertialPlace::new(0.80, 7.28, 0.45)));
 }
 
 #[test]

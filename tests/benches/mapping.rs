@@ -14,7 +14,7 @@ use std::time::Instant;
 use usar_agent::mapping::perturbation::{perturbed_plane, perturbed_pose, pose_error};
 use usar_agent::mapping::{
     Association, InertialNoise, LandmarkId, Mapper, MapperConfig, Motion, Observation,
-    OdometryNoise, PlaneMask, ScanErrors, ScanObservations, TurnSource,
+    OdometryNoise, PlaneMask, ScanErrors, ScanObservations, MotionSource,
 };
 
 /// Edge of a room, and how many stand in a row.
@@ -143,7 +143,7 @@ fn odometry() -> OdometryNoise {
 /// What odometry reads of a motion: away from it by a draw from its own noise model.
 fn misread(motion: &Isometry3<f64>, noise: &OdometryNoise, rng: &mut Pcg64) -> Isometry3<f64> {
     let mut told = Motion::default();
-    told.append(motion, TurnSource::Inertial);
+    told.append(motion, MotionSource::InertialTurn);
     let root = noise.covariance(&told).cholesky().map(|cholesky| cholesky.l());
     let draw = nalgebra::Vector6::from_fn(|_, _| normal(rng));
     root.map_or(*motion, |root| perturbed_pose(motion, &(root * draw)))
@@ -185,7 +185,7 @@ fn measure(landmarks: usize) -> Measured {
     let mut look = |room: usize, turned: bool| {
         let pose = pose_in(room, turned);
         let increment = misread(&(before.inverse() * pose), &odometry(), &mut rng);
-        mapper.predict(&increment, TurnSource::Inertial);
+        mapper.predict(&increment, MotionSource::InertialTurn);
         before = pose;
         let scan = scan(room, &pose, &mut rng);
         let clock = Instant::now();

@@ -3,7 +3,7 @@
 use super::world::{World, drawn6, furnished_room, rng};
 use nalgebra::{Isometry3, Vector3};
 use usar_agent::mapping::perturbation::pose_error;
-use usar_agent::mapping::{Mapper, MapperConfig, Mode, Motion, OdometryNoise, TurnSource};
+use usar_agent::mapping::{Mapper, MapperConfig, Mode, Motion, OdometryNoise, MotionSource};
 
 struct Run {
     /// Normalised squared error of the last pose.
@@ -43,10 +43,10 @@ fn run(world: &World, mode: Mode, seed: u64, steps: usize) -> Run {
             // Noise in all six degrees of freedom, from the filter's own Q: the robot is moved by it.
             let told = Isometry3::new(Vector3::new(0.5, 0.0, 0.0), Vector3::z() * 0.12);
             let mut motion = Motion::default();
-            motion.append(&told, TurnSource::Wheels);
+            motion.append(&told, MotionSource::Wheels);
             let error = drawn6(&mut rng, &noise().covariance(&motion));
             truth *= usar_agent::mapping::perturbation::perturbed_pose(&told, &error);
-            mapper.predict(&told, TurnSource::Wheels);
+            mapper.predict(&told, MotionSource::Wheels);
         }
         let (scan, planes) = world.observe(&truth, Some(&mut rng));
         let report = mapper.observe(&scan);

@@ -8,7 +8,7 @@ use nalgebra::{
 use rand_pcg::Pcg64;
 use usar_agent::mapping::perturbation::{perturbed_pose, pose_error};
 use usar_agent::mapping::{
-    CurveKind, CurvedObservation, Mapper, MapperConfig, Motion, OdometryNoise, TurnSource,
+    CurveKind, CurvedObservation, Mapper, MapperConfig, Motion, OdometryNoise, MotionSource,
     UpdateReport, curve_error_jacobian,
 };
 
@@ -110,7 +110,7 @@ impl<'a> Walk<'a> {
 
     fn slide(&mut self, told: &Isometry3<f64>, error: &Vector6<f64>) {
         self.truth *= perturbed_pose(told, error);
-        self.mapper.predict(told, TurnSource::Wheels);
+        self.mapper.predict(told, MotionSource::Wheels);
     }
 
     fn error(&self) -> Vector6<f64> {
@@ -206,7 +206,7 @@ fn errors_match_their_covariance() {
         for _ in 0..6 {
             let told = step(1.0, 0.0, 0.0);
             let mut motion = Motion::default();
-            motion.append(&told, TurnSource::Wheels);
+            motion.append(&told, MotionSource::Wheels);
             let error = drawn6(&mut walk.rng, &noise.covariance(&motion));
             walk.slide(&told, &error);
             walk.look();

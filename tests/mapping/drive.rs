@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 use std::collections::BTreeMap;
 use usar_agent::mapping::perturbation::{perturbed_pose, pose_error};
 use usar_agent::mapping::{
-    LandmarkId, Mapper, MapperConfig, Motion, OdometryNoise, TurnSource, UpdateReport,
+    LandmarkId, Mapper, MapperConfig, Motion, OdometryNoise, MotionSource, UpdateReport,
 };
 
 /// A motion in the plane: metres ahead and to the left, then a turn in degrees.
@@ -59,13 +59,13 @@ impl<'a> Drive<'a> {
     /// Moves as told by odometry but for `error`, a perturbation in the frame before; does not look.
     pub fn slide(&mut self, told: &Isometry3<f64>, error: &Vector6<f64>) {
         self.truth *= perturbed_pose(told, error);
-        self.mapper.predict(told, TurnSource::Wheels);
+        self.mapper.predict(told, MotionSource::Wheels);
     }
 
     /// Moves with an error drawn from `noise`, then looks.
     pub fn go(&mut self, told: &Isometry3<f64>, noise: &OdometryNoise) -> UpdateReport {
         let mut motion = Motion::default();
-        motion.append(told, TurnSource::Wheels);
+        motion.append(told, MotionSource::Wheels);
         let error = drawn6(&mut self.rng, &noise.covariance(&motion));
         self.slide(told, &error);
         self.look()
@@ -76,10 +76,10 @@ impl<'a> Drive<'a> {
     pub fn steer_to(&mut self, target: Isometry3<f64>, noise: &OdometryNoise) -> UpdateReport {
         let moved = self.truth.inverse() * target;
         let mut motion = Motion::default();
-        motion.append(&moved, TurnSource::Inertial);
+        motion.append(&moved, MotionSource::InertialTurn);
         let error = drawn6(&mut self.rng, &noise.covariance(&motion));
         self.truth = target;
-        self.mapper.predict(&perturbed_pose(&moved, &error), TurnSource::Inertial);
+        self.mapper.predict(&perturbed_pose(&moved, &error), MotionSource::InertialTurn);
         self.look()
     }
 

@@ -3,7 +3,7 @@
 use super::drive::{Drive, step};
 use super::world::{World, furnished_room};
 use nalgebra::{Isometry3, Vector3, Vector6};
-use usar_agent::mapping::{MapperConfig, Mode, OdometryNoise, TurnSource};
+use usar_agent::mapping::{MapperConfig, Mode, OdometryNoise, MotionSource};
 
 const NO_ERROR: Vector6<f64> = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
 
@@ -294,7 +294,7 @@ fn an_upper_floor_is_not_the_lower_one() {
     // Up a ramp that is not in the world: the inertial unit felt it.
     let up = Isometry3::translation(4.0, 0.0, 0.8);
     drive.truth *= up;
-    drive.mapper.predict(&up, TurnSource::Inertial);
+    drive.mapper.predict(&up, MotionSource::InertialTurn);
     drive.look();
     assert_eq!(drive.wrong, 0);
     let height_m = drive.mapper.world_from_robot().translation.z;
