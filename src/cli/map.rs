@@ -10,7 +10,7 @@ use crate::export::run_folder::trinary_map;
 use crate::export::tum::{self, TimedPose};
 use crate::files::replace::replace_file;
 use crate::mapping::{
-    Mapper, MapperConfig, Mode, RefusalReason, ScanErrors, ScanObservations, MotionSource,
+    Mapper, MapperConfig, Mode, MotionSource, RefusalReason, ScanErrors, ScanObservations,
     UpdateReport, curved_observations, observations,
 };
 use crate::scan::RangeImage;

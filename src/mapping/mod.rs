@@ -42,7 +42,7 @@ pub use landmark::{Landmark, LandmarkId};
 pub use mask::{MASK_CELL_M, PlaneMask};
 pub use mip::{Mip, MipConfig};
 pub use observation::{Observation, observations};
-pub use odometry::{InertialNoise, Motion, OdometryNoise, MotionSource, tilted_increment};
+pub use odometry::{InertialNoise, Motion, MotionSource, OdometryNoise, tilted_increment};
 pub use report::{
     Addition, Association, LEVER_M, MovedKeyframe, Refusal, RefusalReason, UpdateReport,
     WeakDirection, weak_directions,

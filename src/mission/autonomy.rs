@@ -1,5 +1,6 @@
 //! What the robot does on its own: sweep, choose, drive, recover.
 
+use super::closing::Closing;
 use super::config::AgentConfig;
 use super::operator::Mode;
 use super::pilot::Progress;
@@ -163,7 +164,7 @@ impl Running {
     }
 
     /// What driving costs where, places that the hull did not get past lately made dear.
-    fn costs(&mut self, desk: &Desk<'_>) -> CostMap {
+    pub(super) fn costs(&mut self, desk: &Desk<'_>) -> CostMap {
         let mut costs = CostMap::new(&self.grid, &self.shape, &desk.config.plan);
         self.shunned.retain(|(_, until)| *until > desk.now);
         for (cell, _) in &self.shunned {
@@ -174,7 +175,7 @@ impl Running {
 
     /// Chooses where to look next and sets out, or says that nothing is left.
     fn choose(&mut self, desk: &mut Desk<'_>) -> Verdict {
-        if let Some(until) = desk.end.filter(|_| self.closed) {
+        if let Some(until) = desk.end.filter(|_| self.closing == Closing::Over) {
             self.activity = Activity::Rest { until };
             return Verdict::GoOn;
         }

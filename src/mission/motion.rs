@@ -149,7 +149,8 @@ impl MotionTracker {
             level_before,
             level_after,
         );
-        let Some(attitude) = attitude_before.filter(|_| source == MotionSource::InertialTurn) else {
+        let Some(attitude) = attitude_before.filter(|_| source == MotionSource::InertialTurn)
+        else {
             return Some((increment, source));
         };
         let map_from_before = self.drift.corrected(&attitude).rotation();

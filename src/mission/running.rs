@@ -1,6 +1,7 @@
 //! The robot in service: readings in, activity after activity, commands out.
 
 use super::belief::Belief;
+use super::closing::Closing;
 use super::config::AgentConfig;
 use super::journal::{Journal, Level};
 use super::ledger::{Ledger, Pastime};
@@ -151,8 +152,8 @@ pub struct Running {
     pub(super) observed: ObservedSweep,
     /// Length of the path when a nod was last thought of.
     pub(super) nod_asked_m: f64,
-    /// Whether the last look is under way or over.
-    pub(super) closed: bool,
+    /// How far the end has come.
+    pub(super) closing: Closing,
 }
 
 /// How a cycle ended for the mission as a whole.
@@ -214,7 +215,7 @@ impl Running {
             wheel_count: WheelCount::default(),
             observed: ObservedSweep::default(),
             nod_asked_m: 0.0,
-            closed: false,
+            closing: Closing::NotYet,
             acquisition,
             belief,
             shape,

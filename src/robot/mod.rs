@@ -36,7 +36,9 @@ pub use head::{Axis, Demand, HeadPose, HeadReading, JointAngle, ScanHead};
 pub use laser::{Laser, LaserError};
 pub use mount::{Joint, JointKind, Mount};
 pub use phantom::PhantomWatch;
-pub use readings::{Echo, InertialPlace, InsReading, OdometryReading, SonarEcho, TagSighting, VictimSighting};
+pub use readings::{
+    Echo, InertialPlace, InsReading, OdometryReading, SonarEcho, TagSighting, VictimSighting,
+};
 pub use rig::{Body, Device, Rig, SonarSensor};
 pub use signs::{SignVerdict, pan_sign, tilt_sign};
 pub use truth::ScoringTruth;

@@ -13,8 +13,8 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 use usar_agent::mapping::perturbation::{perturbed_plane, perturbed_pose, pose_error};
 use usar_agent::mapping::{
-    Association, InertialNoise, LandmarkId, Mapper, MapperConfig, Motion, Observation,
-    OdometryNoise, PlaneMask, ScanErrors, ScanObservations, MotionSource,
+    Association, InertialNoise, LandmarkId, Mapper, MapperConfig, Motion, MotionSource,
+    Observation, OdometryNoise, PlaneMask, ScanErrors, ScanObservations,
 };
 
 /// Edge of a room, and how many stand in a row.

@@ -3,7 +3,7 @@
 use super::world::{World, drawn6, furnished_room, rng};
 use nalgebra::{Isometry3, Vector3};
 use usar_agent::mapping::perturbation::pose_error;
-use usar_agent::mapping::{Mapper, MapperConfig, Mode, Motion, OdometryNoise, MotionSource};
+use usar_agent::mapping::{Mapper, MapperConfig, Mode, Motion, MotionSource, OdometryNoise};
 
 struct Run {
     /// Normalised squared error of the last pose.

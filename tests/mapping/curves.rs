@@ -8,7 +8,7 @@ use nalgebra::{
 use rand_pcg::Pcg64;
 use usar_agent::mapping::perturbation::{perturbed_pose, pose_error};
 use usar_agent::mapping::{
-    CurveKind, CurvedObservation, Mapper, MapperConfig, Motion, OdometryNoise, MotionSource,
+    CurveKind, CurvedObservation, Mapper, MapperConfig, Motion, MotionSource, OdometryNoise,
     UpdateReport, curve_error_jacobian,
 };
 

@@ -6,7 +6,7 @@ use rand_pcg::Pcg64;
 use std::collections::BTreeMap;
 use usar_agent::mapping::perturbation::{perturbed_pose, pose_error};
 use usar_agent::mapping::{
-    LandmarkId, Mapper, MapperConfig, Motion, OdometryNoise, MotionSource, UpdateReport,
+    LandmarkId, Mapper, MapperConfig, Motion, MotionSource, OdometryNoise, UpdateReport,
 };
 
 /// A motion in the plane: metres ahead and to the left, then a turn in degrees.

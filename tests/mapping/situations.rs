@@ -3,7 +3,7 @@
 use super::drive::{Drive, step};
 use super::world::{World, furnished_room};
 use nalgebra::{Isometry3, Vector3, Vector6};
-use usar_agent::mapping::{MapperConfig, Mode, OdometryNoise, MotionSource};
+use usar_agent::mapping::{MapperConfig, Mode, MotionSource, OdometryNoise};
 
 const NO_ERROR: Vector6<f64> = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
 
