@@ -3,7 +3,8 @@
 //! USARSim's unit adds up its way in the world's axes, step by step, each coordinate off by 5 % of the step
 //! (protocol reference, section 5.2): over some metres that is centimetres, where skid-steered wheels err by
 //! decimetres. Places come to the hundredth of a metre. The wheels carry the reckoned place along, and a place
-//! that is read pulls it into the square that rounds to it, no farther, so that the track stays smooth.
+//! that is read pulls it half way towards the middle of the square that rounds to it, and always into that
+//! square, while the wheels turn: what rounding adds is smoothed, and a robot that stands does not creep.
 
 use super::leaps::Leaps;
 use crate::geometry::wrap_pi;
@@ -13,6 +14,9 @@ use serde::{Deserialize, Serialize};
 
 /// Half the resolution of a place, in metres.
 const HALF_STEP_M: f64 = 0.005;
+/// Share of the way to the middle of that square that is taken: the wheels err about as much from one
+/// reading to the next as rounding does.
+const PULL: f64 = 0.5;
 /// Half the resolution of a heading, in radians, with what rounding adds.
 const HALF_STEP_RAD: f64 = 0.0051;
 /// A robot drives no farther than this between two places, unless some were lost.
@@ -110,7 +114,9 @@ impl InertialWay {
             return None;
         }
         if std::mem::take(&mut self.is_fresh) {
-            self.from_last = reckoned.map(|apart_m| apart_m.clamp(-HALF_STEP_M, HALF_STEP_M));
+            let pull = if by_wheels == Vector2::zeros() { 0.0 } else { PULL };
+            let held = |apart_m: f64| ((1.0 - pull) * apart_m).clamp(-HALF_STEP_M, HALF_STEP_M);
+            self.from_last = reckoned.map(held);
         }
         Some(map_from_unit * (by_wheels + self.from_last - reckoned))
     }
