@@ -288,6 +288,9 @@ pub(super) struct UnderPatch {
     pub tilt_deg: f64,
 }
 
+/// How far behind what it has hit a ray is cast anew, in metres.
+const BEYOND_M: f64 = 0.005;
+
 /// The surface that most of a patch's points lie on; `None` where most lie on none. `true_from_map` leads
 /// from the patch's frame into the world.
 pub(super) fn true_surface(
@@ -300,24 +303,37 @@ pub(super) fn true_surface(
         patch.hull.iter().map(|corner| patch.centroid + (corner - patch.centroid) * (1.0 - INSET));
     let mut found: Vec<UnderPatch> = std::iter::once(patch.centroid)
         .chain(corners)
-        .filter_map(|point| {
-            let from = true_from_map * point + normal * SAME_SURFACE_M;
-            let hit = world.cast_ray(&from, &-normal, 2.0 * SAME_SURFACE_M)?;
-            let tilt_deg = Unit::new_normalize(hit.normal).angle(&normal).to_degrees();
-            // A surface off the normal shifts the foot of the ray; the offset is along the normal.
-            (tilt_deg <= SAME_SURFACE_DEG).then_some(UnderPatch {
-                point: from - normal * hit.range_m,
-                normal: hit.normal,
-                offset_m: hit.range_m - SAME_SURFACE_M,
-                tilt_deg,
-            })
-        })
+        .filter_map(|point| surface_at(&(true_from_map * point), &normal, world))
         .collect();
     if 2 * found.len() <= patch.hull.len() {
         return None;
     }
     found.sort_by(|a, b| a.offset_m.total_cmp(&b.offset_m));
     Some(found.swap_remove(found.len() / 2))
+}
+
+/// The surface facing along `normal` that is nearest to `point`; `None` where none is near. What stands in
+/// front of it, a step before a wall, is another one.
+fn surface_at(point: &Point3<f64>, normal: &Vector3<f64>, world: &World) -> Option<UnderPatch> {
+    let from = point + normal * SAME_SURFACE_M;
+    let mut nearest: Option<UnderPatch> = None;
+    let mut begun_m = 0.0;
+    while let Some(hit) =
+        world.cast_ray(&(from - normal * begun_m), &-normal, 2.0 * SAME_SURFACE_M - begun_m)
+    {
+        let range_m = begun_m + hit.range_m;
+        begun_m = range_m + BEYOND_M;
+        let offset_m = range_m - SAME_SURFACE_M;
+        let tilt_deg = Unit::new_normalize(hit.normal).angle(normal).to_degrees();
+        let is_nearer = nearest.as_ref().is_none_or(|best| offset_m.abs() < best.offset_m.abs());
+        // A ray that begins within a body meets no surface there.
+        if hit.range_m > 0.0 && tilt_deg <= SAME_SURFACE_DEG && is_nearer {
+            // A surface off the normal shifts the foot of the ray; the offset is along the normal.
+            let point = from - normal * range_m;
+            nearest = Some(UnderPatch { point, normal: hit.normal, offset_m, tilt_deg });
+        }
+    }
+    nearest
 }
 
 fn path_length(path: &[TimedPose]) -> f64 {
@@ -371,6 +387,25 @@ mod tests {
         assert!((0.01..0.0102).contains(&rpe.translation_rmse_m), "{rpe:?}");
         assert!((evaluation.drift_percent.unwrap() - 1.0).abs() < 1e-6);
         assert_eq!(evaluation.coverage, None);
+    }
+
+    #[test]
+    fn a_plane_behind_a_thin_board_is_not_taken_for_the_board() {
+        // A board stands 0.2 m before the wall at x = 4.
+        let map = "name = \"m\"\nbounds = [0.0, 0.0, 6.0, 4.0]\n\
+                   [[box]]\ncenter = [4.5, 2.0, 1.0]\nsize = [1.0, 4.0, 2.0]\n\
+                   [[box]]\ncenter = [3.75, 2.0, 1.0]\nsize = [0.1, 4.0, 2.0]\n";
+        let world = World::new(&MapFile::parse(map).unwrap(), &BTreeMap::new()).unwrap();
+        let x_of = |x: f64| {
+            let hull = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
+                .map(|(y, z)| Point3::new(x, 2.0 + y, 1.0 + z))
+                .to_vec();
+            let centroid = Point3::new(x, 2.0, 1.0);
+            let patch = Patch { normal: -Vector3::x(), centroid, hull };
+            true_surface(&patch, &world, &Isometry3::identity()).unwrap().point.x
+        };
+        assert!((x_of(4.01) - 4.0).abs() < 1e-9, "the wall, not the board: {}", x_of(4.01));
+        assert!((x_of(3.69) - 3.7).abs() < 1e-9, "the board: {}", x_of(3.69));
     }
 
     #[test]
