@@ -131,6 +131,7 @@ fn odometry() -> OdometryNoise {
         step_share: 0.01,
         height_per_m: 0.002,
         attitude_per_m: 0.0005,
+        ..InertialNoise::default()
     };
     OdometryNoise {
         position_per_m: 0.01,
