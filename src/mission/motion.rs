@@ -207,6 +207,32 @@ mod tests {
     }
 
     #[test]
+    fn an_inertial_units_places_overrule_slipping_wheels() {
+        let mut tracker = MotionTracker::default();
+        let mut world = Isometry3::identity();
+        // The unit heads 0.3 rad left of the map; the robot drives 2 m straight ahead of itself, turned by
+        // 0.5 rad in the map, and the wheels count a fifth too much.
+        let heading = BodyAttitude { heading_rad: 0.8, ..Default::default() };
+        tracker.attitude(heading);
+        tracker.settle_attitude(&BodyAttitude { heading_rad: 0.5, ..heading }, 0.001);
+        let mut last = MotionSource::Wheels;
+        for step in 0..=50 {
+            let way_m = 0.04 * f64::from(step);
+            let cut = |metres: f64| (100.0 * metres).round() / 100.0;
+            let (sin, cos) = 0.8_f64.sin_cos();
+            tracker.place(InertialPlace::new(cut(3.0 + way_m * cos), cut(way_m * sin), 0.4));
+            if let Some((increment, source)) = tracker.wheels(pose(1.2 * way_m, 0.0, 0.0)) {
+                world *= increment;
+                last = source;
+            }
+        }
+        assert_eq!(last, MotionSource::Inertial);
+        // The first of it, until the unit was seen to go where the wheels go, is the wheels' own.
+        assert!((world.translation.vector.x - 2.0).abs() < 0.02, "{}", world.translation.vector);
+        assert!(world.translation.vector.y.abs() < 0.02, "{}", world.translation.vector);
+    }
+
+    #[test]
     fn a_garbled_reading_moves_nothing() {
         let mut tracker = MotionTracker::default();
         tracker.attitude(BodyAttitude::default());
