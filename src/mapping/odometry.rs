@@ -50,8 +50,10 @@ pub struct InertialNoise {
     pub fixed_rad: f64,
     /// Error of a step's change of angle as a share of it. Valid: 0 to 1.
     pub step_share: f64,
-    /// Height error per metre of path: what pitch is wrong by, and what the ground does between two
-    /// readings. Valid: 0 to 1.
+    /// Height, fixed part of any motion, in metres: how the body sits on its springs. Valid: above 0.
+    pub height_fixed_m: f64,
+    /// Height error per metre of path: slopes too small for the resolution of the pitch, and what the ground
+    /// does between two readings. What pitch itself has erred by on the way comes on top. Valid: 0 to 1.
     pub height_per_m: f64,
     /// Pitch and roll error in radians per metre of path: the body rocks between readings.
     /// Valid: 0 to 1.
@@ -71,7 +73,8 @@ impl Default for InertialNoise {
         Self {
             fixed_rad: 0.006,
             step_share: 0.06,
-            height_per_m: 0.015,
+            height_fixed_m: 0.004,
+            height_per_m: 0.004,
             attitude_per_m: 0.004,
             fixed_m: 0.006,
             place_per_root_m: 0.02,
@@ -122,6 +125,8 @@ pub struct Motion {
     pub inertial_turn_rad: f64,
     /// Sum of the squares of those turns, step by step, in rad².
     pub inertial_steps_rad2: f64,
+    /// Sum of the squares of those about level axes, in rad².
+    pub inertial_tilts_rad2: f64,
     /// Part of the path that an inertial unit's places gave, in metres.
     pub inertial_way_m: f64,
     /// Turns on that part, in radians.
@@ -139,6 +144,7 @@ impl Default for Motion {
             inertial_path_m: 0.0,
             inertial_turn_rad: 0.0,
             inertial_steps_rad2: 0.0,
+            inertial_tilts_rad2: 0.0,
             inertial_way_m: 0.0,
             inertial_way_turn_rad: 0.0,
             measured: Matrix6::zeros(),
@@ -163,6 +169,8 @@ impl Motion {
             self.inertial_path_m += path_m;
             self.inertial_turn_rad += turn_rad;
             self.inertial_steps_rad2 += turn_rad * turn_rad;
+            let tilt = before_from_after.rotation.scaled_axis().xy();
+            self.inertial_tilts_rad2 += tilt.norm_squared();
         }
         if source == MotionSource::Inertial {
             self.inertial_way_m += path_m;
@@ -223,8 +231,13 @@ impl OdometryNoise {
             self.heading_per_rad * wheel_turn,
             inertial.step_share * steps,
         ]);
-        let height =
-            sum(&[fixed_m, self.height_per_m * wheel_path, inertial.height_per_m * told_path]);
+        let height_fixed_m = if only_inertial { inertial.height_fixed_m } else { fixed_m };
+        let height = sum(&[
+            height_fixed_m,
+            self.height_per_m * wheel_path,
+            inertial.height_per_m * told_path,
+            inertial.step_share * motion.inertial_tilts_rad2.sqrt() * told_path,
+        ]);
         let attitude = sum(&[
             fixed_rad,
             self.attitude_per_m * wheel_path,
