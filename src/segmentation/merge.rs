@@ -92,9 +92,10 @@ impl Merger {
                 let near = neighbours8(cell, width, labels.len()).filter(|&n| n > cell);
                 near.for_each(|n| self.push_pair(label, labels[n]));
             } else {
-                self.push_pair(label, labels[cell + 1]);
-                for &below in &labels[cell + width - 1..cell + width + 2] {
-                    self.push_pair(label, below);
+                let below = &labels[cell + width - 1..cell + width + 2];
+                let others = [labels[cell + 1], below[0], below[1], below[2]];
+                if others.iter().fold(0, |all, other| all | (other ^ label)) != 0 {
+                    others.into_iter().for_each(|other| self.push_pair(label, other));
                 }
             }
         }
