@@ -446,8 +446,7 @@ fn ball_through(readings: &Readings, weights: &[f64]) -> Option<Model> {
 fn least_squares<const N: usize>(
     equations: impl Iterator<Item = ([f64; N], f64)>,
     weights: &[f64],
-) -> Option<SVector<f64, N>>
-{
+) -> Option<SVector<f64, N>> {
     // The decomposition looks at the lower triangle alone.
     let mut normal = SMatrix::<f64, N, N>::zeros();
     let mut right = SVector::<f64, N>::zeros();

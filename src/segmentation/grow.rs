@@ -87,6 +87,8 @@ pub(super) struct Grower {
     pub regions: Vec<Region>,
     order: Vec<u32>,
     front: Vec<u32>,
+    /// Sticks beside one that have no region yet.
+    free: Vec<u32>,
     moments: Vec<Moments>,
     pub merger: Merger,
 }
@@ -185,10 +187,20 @@ impl Grower {
         while at < self.front.len() {
             let stick = self.front[at];
             at += 1;
-            for s in sticks.around(stick).into_iter().flatten() {
-                if self.region_of[s as usize] != 0 {
-                    continue;
+            // Which of them are free is hard to foretell, so they are listed without a branch for each.
+            let around = sticks.around(stick);
+            let count: usize = around.iter().map(ExactSizeIterator::len).sum();
+            self.free.resize(self.free.len().max(count), 0);
+            let mut free = 0;
+            for range in around {
+                for (&region, s) in
+                    self.region_of[range.start as usize..range.end as usize].iter().zip(range)
+                {
+                    self.free[free] = s;
+                    free += usize::from(region == 0);
                 }
+            }
+            for &s in &self.free[..free] {
                 let other = &sticks.sticks[s as usize];
                 if !region.plane.fits(other, &field.errors) {
                     continue;
@@ -214,8 +226,9 @@ impl Grower {
             let region = self.region_of[s as usize];
             if region != 0 {
                 for others in sticks.after(s) {
-                    for &other in &self.region_of[others.start as usize..others.end as usize] {
-                        self.merger.push_pair(region, other);
+                    let others = &self.region_of[others.start as usize..others.end as usize];
+                    if others.iter().fold(0, |all, other| all | (other ^ region)) != 0 {
+                        others.iter().for_each(|&other| self.merger.push_pair(region, other));
                     }
                 }
             }
