@@ -33,6 +33,9 @@ pub(super) struct Merger {
 /// Replacements for which all labels are gone through once for each: more are looked up.
 const FEW_MOVED: usize = 12;
 
+/// Labels that are replaced at a time.
+const REPLACED: usize = 32;
+
 /// Replaces labels, many at a time.
 struct Replace<'a> {
     labels: &'a mut [u32],
@@ -44,8 +47,17 @@ impl WithSimd for Replace<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        for &(from, to) in self.moved {
-            for label in &mut *self.labels {
+        // All of them for some labels, then for others: labels are loaded once.
+        let (parts, rest) = self.labels.as_chunks_mut::<REPLACED>();
+        for part in parts {
+            for &(from, to) in self.moved {
+                for label in &mut *part {
+                    *label = if *label == from { to } else { *label };
+                }
+            }
+        }
+        for label in rest {
+            for &(from, to) in self.moved {
                 *label = if *label == from { to } else { *label };
             }
         }
