@@ -130,16 +130,16 @@ impl Grower {
     fn sort_by_length(&mut self, sticks: &Sticks) {
         // Where the sticks of each length begin, from the longest on.
         let mut starts = [0; LONGEST + 2];
-        let place = |stick: &Stick| LONGEST - stick.n as usize;
-        for stick in &sticks.sticks {
-            starts[place(stick) + 1] += 1;
+        let place = |[first, last]: [u32; 2]| LONGEST - 1 - (last - first) as usize;
+        for &span in &sticks.spans {
+            starts[place(span) + 1] += 1;
         }
         for place in 0..LONGEST {
             starts[place + 1] += starts[place];
         }
         self.order.resize(sticks.sticks.len(), 0);
-        for (s, stick) in sticks.sticks.iter().enumerate() {
-            let start = &mut starts[place(stick)];
+        for (s, &span) in sticks.spans.iter().enumerate() {
+            let start = &mut starts[place(span)];
             self.order[*start] = s as u32;
             *start += 1;
         }

@@ -106,8 +106,13 @@ impl Merger {
             } else {
                 let below = &labels[cell + width - 1..cell + width + 2];
                 let others = [labels[cell + 1], below[0], below[1], below[2]];
-                if others.iter().fold(0, |all, other| all | (other ^ label)) != 0 {
-                    others.into_iter().for_each(|other| self.push_pair(label, other));
+                let mut last = label;
+                for other in others {
+                    // Mostly the cell's own, or the same again.
+                    if (other != label) & (other != last) {
+                        self.push_pair(label, other);
+                    }
+                    last = other;
                 }
             }
         }

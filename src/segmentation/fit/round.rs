@@ -28,6 +28,7 @@ impl RayColumns {
         self.count = 0;
     }
 
+    #[inline]
     pub fn push(&mut self, point: [f64; 3], ray: [f64; 3], sigma: f64) {
         let place = self.count % BLOCK;
         if place == 0 {
