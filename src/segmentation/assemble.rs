@@ -2,7 +2,7 @@
 
 use super::Stage;
 use super::axes::candidate_axes;
-use super::components::{Components, NONE};
+use super::components::{Components, NONE, fill_ahead};
 use super::config::SegmentationConfig;
 use super::doubt::{Doubts, square};
 use super::field::Field;
@@ -72,6 +72,8 @@ pub(super) struct Assembler {
     planes: Vec<[f64; 3]>,
     guesses: Vec<usize>,
     order: Vec<(usize, usize)>,
+    /// Id of each component's surface, 0 for none.
+    ids: Vec<u16>,
     hull: HullFinder,
     spare_hulls: Vec<Vec<Point2<f64>>>,
     spare_reasons: Vec<String>,
@@ -319,13 +321,18 @@ impl Assembler {
         let components = &self.components;
         self.border_cells.clear();
         self.border_cells.resize(components.len(), 0);
-        self.border.clear();
+        // Most are beside another component or none, but which ones are is hard to foretell.
+        self.border.resize(self.borders.len(), (0, NONE));
+        let mut count = 0;
         for &cell in &self.borders {
             let component = components.of_cell[cell as usize];
-            if component != NONE && !components.is_core(cell as usize, field) {
-                self.border_cells[component as usize] += 1;
-                self.border.push((cell, component));
-            }
+            self.border[count] = (cell, component);
+            let is_border = !components.is_core(cell as usize, field);
+            count += usize::from((component != NONE) & is_border);
+        }
+        self.border.truncate(count);
+        for &(_, component) in &self.border {
+            self.border_cells[component as usize] += 1;
         }
         self.can_spare.clear();
         self.can_spare.extend(self.border_cells.iter().zip(&components.sizes).map(
@@ -474,18 +481,27 @@ impl Assembler {
     }
 
     fn write_labels(&mut self, field: &Field, result: &mut Segmentation) {
-        result.labels.clear();
-        result.labels.resize(field.len(), 0);
+        self.ids.clear();
+        self.ids.resize(self.components.len(), 0);
         for (index, &(_, component)) in self.order.iter().enumerate() {
-            let id = index as u16 + 1;
-            for run in self.components.runs(component) {
-                if field.transposed {
-                    run.for_each(|cell| result.labels[field.grid_index(cell)] = id);
-                } else {
-                    result.labels[run].fill(id);
-                }
-            }
+            self.ids[component] = index as u16 + 1;
         }
+        let labels = &mut result.labels;
+        labels.resize(field.len(), 0);
+        if field.transposed {
+            labels.fill(0);
+            for (run, component) in self.components.all_runs() {
+                run.for_each(|cell| labels[field.grid_index(cell)] = self.ids[component]);
+            }
+            return;
+        }
+        let mut end = 0;
+        for (run, component) in self.components.all_runs() {
+            fill_ahead(labels, end..run.start, 0);
+            end = run.end;
+            fill_ahead(labels, run, self.ids[component]);
+        }
+        labels[end..].fill(0);
     }
 }
 

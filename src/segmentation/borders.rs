@@ -9,6 +9,8 @@ use std::ops::Range;
 pub(super) struct Borders {
     /// The bits in which a cell's label differs from those of its neighbours in its row.
     level: Vec<u32>,
+    /// Room for the cells that are listed.
+    listed: Vec<u32>,
 }
 
 impl Borders {
@@ -20,8 +22,10 @@ impl Borders {
     pub fn find(&mut self, labels: &[u32], width: usize, cells: &mut Vec<u32>) {
         cells.clear();
         if width > 0 && !labels.is_empty() {
-            self.level.resize(labels.len(), 0);
-            Arch::new().dispatch(Find { level: &mut self.level, labels, width, cells });
+            let Self { level, listed } = self;
+            level.resize(labels.len(), 0);
+            listed.resize(labels.len() + PASSED, 0);
+            Arch::new().dispatch(Find { level, listed, labels, width, cells });
         }
     }
 }
@@ -29,6 +33,7 @@ impl Borders {
 /// One search; its loops are over arrays, so that they run on vectors of any width.
 struct Find<'a> {
     level: &'a mut [u32],
+    listed: &'a mut [u32],
     labels: &'a [u32],
     width: usize,
     cells: &'a mut Vec<u32>,
@@ -42,7 +47,7 @@ impl WithSimd for Find<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { level, labels, width, cells } = self;
+        let Self { level, listed, labels, width, cells } = self;
         let length = labels.len();
         if length > 2 {
             let (left, middle, right) = (&labels[..length - 2], &labels[1..], &labels[2..]);
@@ -63,7 +68,7 @@ impl WithSimd for Find<'_> {
             return rows.list_rim(0..width, &[], cells);
         }
         rows.list_rim(0..width, &[width], cells);
-        rows.list_inside(width, cells);
+        rows.list_inside(width, listed, cells);
         rows.list_rim(bottom..length, &[bottom - width], cells);
     }
 }
@@ -91,13 +96,13 @@ impl Rows<'_> {
 
     /// Lists the same of all rows with one above and one below.
     #[inline(always)]
-    fn list_inside(&self, width: usize, cells: &mut Vec<u32>) {
+    fn list_inside(&self, width: usize, listed: &mut [u32], cells: &mut Vec<u32>) {
         let parts = |array| {
             let [above, here, below] = three_rows(array, width);
             above.iter().zip(here).zip(below)
         };
         let labels = parts(self.labels);
-        let mut first = width as u32;
+        let (mut first, mut count) = (width as u32, 0);
         for (((la, l), lb), ((va, v), vb)) in labels.zip(parts(self.level)) {
             let mut differs = [0; PASSED];
             let mut all = 0;
@@ -108,15 +113,18 @@ impl Rows<'_> {
             }
             if all != 0 {
                 // Written one over the other: which of them are listed is hard to foretell.
-                let (mut listed, mut count) = ([0; PASSED], 0);
+                let part: &mut [u32; PASSED] =
+                    listed[count..].first_chunk_mut().expect("there is room for a part more");
+                let mut some = 0;
                 for (cell, (differs, label)) in (first..).zip(differs.iter().zip(l)) {
-                    listed[count % PASSED] = cell;
-                    count += usize::from((*differs != 0) & (*label != NO_RETURN));
+                    part[some % PASSED] = cell;
+                    some += usize::from((*differs != 0) & (*label != NO_RETURN));
                 }
-                cells.extend_from_slice(&listed[..count]);
+                count += some;
             }
             first += PASSED as u32;
         }
+        cells.extend_from_slice(&listed[..count]);
         for cell in first as usize..self.labels.len() - width {
             let [above, below] = [cell - width, cell + width];
             self.list_rim(cell..cell + 1, &[above, below], cells);

@@ -20,6 +20,8 @@ const DISAGREEMENT: f32 = 1.0;
 const LEAST_GAIN: f32 = 0.25;
 /// Rounds at most; each moves a border by one cell.
 const ROUNDS: usize = 16;
+/// Most changes of a round of which it is asked whether they undo those of the round before.
+const FEW_CHANGES: usize = 16;
 /// Least cosine of incidence on a curved surface that is believed.
 const LEAST_COSINE: f32 = 0.15;
 
@@ -77,7 +79,13 @@ pub(super) struct Competition {
     pub before: Vec<u32>,
     at_border: Vec<bool>,
     front: Vec<u32>,
+    /// Cells of the front that may change.
+    open: Vec<u32>,
+    /// The plane of each label, and of those without a return; no numbers where there is none.
+    planes: Vec<[f32; 3]>,
     changes: Vec<(u32, u32)>,
+    /// Changes of the round before, with the labels that they undid.
+    undone: Vec<(u32, u32)>,
     queued: Vec<bool>,
 }
 
@@ -91,11 +99,11 @@ impl Competition {
             }
         }
         self.borders.find(labels, field.lanes, &mut self.border);
-        self.before.clear();
         for &cell in &self.border {
             self.at_border[cell as usize] = true;
-            self.before.push(labels[cell as usize]);
         }
+        self.before.clear();
+        self.before.extend(self.border.iter().map(|&cell| labels[cell as usize]));
         self.front.clone_from(&self.border);
         self.settle_front(field, rivals, labels);
     }
@@ -137,21 +145,43 @@ impl Competition {
     fn settle_front(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
         let (width, length) = (field.lanes, field.len());
         self.queued.resize(length, false);
-        for _ in 0..ROUNDS {
+        self.planes.clear();
+        self.planes.extend(rivals.iter().map(|rival| match rival {
+            Rival::Plane(q) => *q,
+            Rival::Round { .. } => NO_PLANE,
+        }));
+        self.planes.push(NO_PLANE);
+        self.planes[0] = NO_PLANE;
+        self.undone.clear();
+        let mut left = ROUNDS;
+        while left > 0 {
+            left -= 1;
             self.changes.clear();
             Arch::new().dispatch(Round {
                 field,
                 rivals,
                 labels,
+                planes: &self.planes,
                 front: &self.front,
+                open: &mut self.open,
                 changes: &mut self.changes,
             });
             if self.changes.is_empty() {
                 self.front.clear();
                 break;
             }
+            // Cells that undo what they did go on like that, so whole pairs of rounds can be left out.
+            let undoes = |change| self.undone.contains(change);
+            if self.changes.len() == self.undone.len().min(FEW_CHANGES)
+                && self.changes.iter().all(undoes)
+            {
+                left %= 2;
+            }
+            self.undone.clear();
             for &(cell, label) in &self.changes {
-                labels[cell as usize] = label;
+                let label_now = &mut labels[cell as usize];
+                self.undone.push((cell, *label_now));
+                *label_now = label;
             }
             self.front.clear();
             for &(cell, _) in &self.changes {
@@ -179,7 +209,9 @@ struct Round<'a> {
     field: &'a Field,
     rivals: &'a [Rival],
     labels: &'a [u32],
+    planes: &'a [[f32; 3]],
     front: &'a [u32],
+    open: &'a mut Vec<u32>,
     /// Cells that get another label.
     changes: &'a mut Vec<(u32, u32)>,
 }
@@ -189,8 +221,16 @@ impl WithSimd for Round<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { field, rivals, labels, front, changes } = self;
+        let Self { field, rivals, labels, planes, front, open, changes } = self;
+        // Most cells keep their label. Which ones do is hard to foretell, so they are told from the
+        // others without a branch first.
+        open.resize(open.len().max(front.len()), 0);
+        let mut count = 0;
         for &cell in front {
+            open[count] = cell;
+            count += usize::from(may_change(field, planes, labels, cell as usize));
+        }
+        for &cell in &open[..count] {
             let own = labels[cell as usize];
             if own != NO_RETURN {
                 let label = best_label(field, rivals, labels, cell as usize, own);
@@ -200,6 +240,30 @@ impl WithSimd for Round<'_> {
             }
         }
     }
+}
+
+/// Stands for a plane where there is none: no error from it is small.
+const NO_PLANE: [f32; 3] = [f32::NAN; 3];
+
+/// Whether a cell may cost less with another label: one without any error, that all neighbours have which
+/// have not its own.
+#[inline(always)]
+fn may_change(field: &Field, planes: &[[f32; 3]], labels: &[u32], cell: usize) -> bool {
+    if field.rim.is_on(cell) {
+        return true;
+    }
+    let own = labels[cell];
+    let near = Near::of(labels, cell, field.lanes);
+    let returns = ALL & !near.with(NO_RETURN);
+    let agree = near.with(own);
+    let others = (returns & !agree).count_ones();
+    let [qx, qy, qz] = planes[(own as usize).min(planes.len() - 1)];
+    let e = (qx * field.x[cell] + qy * field.y[cell] + qz * field.z[cell] - 1.0) * field.gain[cell];
+    let (around, agree) = (returns.count_ones(), agree.count_ones());
+    let kept = e * e + DISAGREEMENT * around.wrapping_sub(agree) as f32 - LEAST_GAIN;
+    // What is no number is not below anything.
+    let is_kept = kept <= DISAGREEMENT * (around - others) as f32;
+    !is_kept
 }
 
 /// The label at which a cell costs least.

@@ -17,6 +17,8 @@ pub(super) struct Components {
     /// Start of each component in `sorted`, and the end of the last.
     starts: Vec<usize>,
     runs: Vec<Run>,
+    /// The columns of a row in which its runs begin, and its end.
+    changes: Vec<u32>,
     /// First run of each row, and the end of the last.
     row_starts: Vec<usize>,
     width: u32,
@@ -33,14 +35,20 @@ struct Run {
     parent: u32,
 }
 
-/// How many labels equal the first.
-fn length_of_run(labels: &[u32]) -> usize {
-    let (parts, rest) = labels.as_chunks::<8>();
-    let differs =
-        |part: &[u32; 8]| part.iter().fold(0, |all, label| all | (label ^ labels[0])) != 0;
-    let whole = parts.iter().take_while(|part| !differs(part)).count();
-    let left = parts.get(whole).map_or(rest, |part| &part[..]);
-    8 * whole + left.iter().take_while(|&&label| label == labels[0]).count()
+/// Cells that are filled at a time.
+const FILLED: usize = 16;
+
+/// Fills a range, and some of what comes after it: what that is to hold is written later.
+#[inline]
+pub(super) fn fill_ahead<T: Copy>(array: &mut [T], range: Range<usize>, value: T) {
+    let Range { start: mut at, end } = range;
+    while at < end {
+        match array[at..].first_chunk_mut::<FILLED>() {
+            Some(part) => *part = [value; FILLED],
+            None => array[at..end].fill(value),
+        }
+        at += FILLED;
+    }
 }
 
 /// Lines of one direction that are counted; a region on more of them is no strip.
@@ -100,6 +108,11 @@ impl Components {
         runs.iter().map(|&(first, end)| first as usize..end as usize)
     }
 
+    /// All runs in order, with their components.
+    pub fn all_runs(&self) -> impl Iterator<Item = (Range<usize>, usize)> + '_ {
+        self.runs.iter().map(|run| (run.first as usize..run.end as usize, run.parent as usize))
+    }
+
     /// The cells of a component, in order.
     pub fn cells(&self, component: usize) -> impl Iterator<Item = usize> + Clone + '_ {
         self.runs(component).flatten()
@@ -137,9 +150,9 @@ impl Components {
         let mut end = 0;
         for run in &self.runs {
             let at = &mut self.filled[run.parent as usize];
-            self.of_cell[end..run.first as usize].fill(NONE);
+            fill_ahead(&mut self.of_cell, end..run.first as usize, NONE);
             end = run.end as usize;
-            self.of_cell[run.first as usize..end].fill(run.parent);
+            fill_ahead(&mut self.of_cell, run.first as usize..end, run.parent);
             self.sorted[*at] = (run.first, run.end);
             *at += 1;
         }
@@ -150,22 +163,26 @@ impl Components {
     fn find_runs(&mut self, labels: &[u32], width: usize) {
         self.runs.clear();
         self.row_starts.clear();
+        self.width = width as u32;
+        self.changes.resize(width + 1, 0);
         for (row, labels) in labels.chunks_exact(width.max(1)).enumerate() {
             self.row_starts.push(self.runs.len());
-            let mut first = 0;
-            while first < width {
-                let label = labels[first];
-                let same = length_of_run(&labels[first..]);
-                if label != 0 {
-                    let first = (row * width + first) as u32;
+            // Where labels change is hard to foretell, so no branch depends on it.
+            let mut count = 1;
+            for (column, pair) in (1..).zip(labels.windows(2)) {
+                self.changes[count] = column;
+                count += usize::from(pair[0] != pair[1]);
+            }
+            self.changes[count] = width as u32;
+            let first = (row * width) as u32;
+            for ends in self.changes[..=count].windows(2) {
+                if labels[ends[0] as usize] != 0 {
                     let parent = self.runs.len() as u32;
-                    self.runs.push(Run { first, end: first + same as u32, parent });
+                    self.runs.push(Run { first: first + ends[0], end: first + ends[1], parent });
                 }
-                first += same;
             }
         }
         self.row_starts.push(self.runs.len());
-        self.width = width as u32;
     }
 
     /// Joins runs of one label that touch, corners included, to trees whose root comes first.
@@ -237,10 +254,11 @@ impl Components {
             return neighbours8(cell, field.lanes, field.len()).all(is_same);
         }
         let near = Near::of(&self.of_cell, cell, field.lanes);
-        let mut unlabelled = near.with(NONE);
         // Whatever is of a component has a return.
-        if near.with(component) | unlabelled != ALL {
-            return false;
+        let other = near.with(component) | near.with(NONE) != ALL;
+        let mut unlabelled = if other { 0 } else { near.with(NONE) };
+        if unlabelled == 0 {
+            return !other;
         }
         while unlabelled != 0 {
             if field.is_valid(neighbour(cell, field.lanes, unlabelled.trailing_zeros())) {

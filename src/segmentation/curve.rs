@@ -12,7 +12,7 @@ use super::fit::{Model, Readings, improve_model, settle_model};
 use super::grow::Grower;
 use super::noise::ReadingErrors;
 use super::sticks::{Stick, Sticks};
-use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
+use nalgebra::{SMatrix, SVector, Vector3};
 
 /// Price of a surface in units of the noise variance: its parameters and its outline.
 const PRICE: f64 = 30.0;
@@ -66,7 +66,9 @@ pub(super) struct CurveFinder {
     in_set: Vec<bool>,
     shares: Vec<(u32, f64)>,
     bounds: Vec<usize>,
-    kept: Vec<bool>,
+    weights: Vec<f64>,
+    /// The weights, zero for readings that a guess is not fitted to.
+    kept: Vec<f64>,
     errors: Vec<f64>,
     sorted: Vec<f64>,
     trust: ReadingErrors,
@@ -215,12 +217,13 @@ impl CurveFinder {
     /// An algebraic fit to the best part of each facet, and the mean square error of that part: a
     /// facet may have taken in a stick that is not its own.
     fn trimmed_fit(&mut self, guess: &Guess) -> Option<(f64, Model)> {
-        let fit = |readings: &Readings, kept: &[bool]| match guess {
-            Guess::Along(axis) => circle_along(readings, kept, axis),
-            Guess::Ball => ball_through(readings, kept),
+        let fit = |readings: &Readings, weights: &[f64]| match guess {
+            Guess::Along(axis) => circle_along(readings, weights, axis),
+            Guess::Ball => ball_through(readings, weights),
         };
-        self.kept.clear();
-        self.kept.resize(self.readings.len(), true);
+        self.weights.clear();
+        self.weights.extend(self.readings.sigmas.iter().map(|sigma| 1.0 / (sigma * sigma)));
+        self.kept.clone_from(&self.weights);
         let mut model = fit(&self.readings, &self.kept)?;
         let mut mean = f64::INFINITY;
         for _ in 0..TRIMS {
@@ -237,11 +240,10 @@ impl CurveFinder {
                 let last = (KEPT_SHARE * (part.len() - 1) as f64).ceil() as usize;
                 let limit = *self.sorted.select_nth_unstable_by(last, f64::total_cmp).1;
                 for i in part {
-                    self.kept[i] = self.errors[i] <= limit;
-                    if self.kept[i] {
-                        sum += self.errors[i];
-                        count += 1.0;
-                    }
+                    let kept = if self.errors[i] <= limit { 1.0 } else { 0.0 };
+                    self.kept[i] = kept * self.weights[i];
+                    sum += kept * self.errors[i];
+                    count += kept;
                 }
             }
             mean = sum / count;
@@ -410,41 +412,51 @@ fn stick_error(model: &Model, stick: &Stick) -> f64 {
 }
 
 /// The cylinder along `axis` whose circle fits the readings algebraically.
-fn circle_along(readings: &Readings, kept: &[bool], axis: &Vector3<f64>) -> Option<Model> {
+fn circle_along(readings: &Readings, weights: &[f64], axis: &Vector3<f64>) -> Option<Model> {
     let mut helper = Vector3::zeros();
     helper[axis.iamin()] = 1.0;
     let e1 = axis.cross(&helper).normalize();
     let e2 = axis.cross(&e1);
     let centroid = readings.centroid();
-    let mut normal = Matrix3::<f64>::zeros();
-    let mut right = Vector3::<f64>::zeros();
-    for ((p, sigma), _) in readings.points.iter().zip(&readings.sigmas).zip(kept).filter(|x| *x.1) {
+    let rows = readings.points.iter().map(|p| {
         let d = p - centroid;
         let (a, b) = (e1.dot(&d), e2.dot(&d));
-        let row = Vector3::new(2.0 * a, 2.0 * b, 1.0);
-        let weight = 1.0 / (sigma * sigma);
-        normal += row * row.transpose() * weight;
-        right += row * ((a * a + b * b) * weight);
-    }
-    let solution = normal.cholesky()?.solve(&right);
+        ([2.0 * a, 2.0 * b, 1.0], a * a + b * b)
+    });
+    let solution = least_squares(rows, weights)?;
     let radius_m = (solution.z + solution.x * solution.x + solution.y * solution.y).sqrt();
     let foot = centroid + e1 * solution.x + e2 * solution.y;
     radius_m.is_finite().then_some(Model::Cylinder { foot, axis: *axis, radius_m })
 }
 
 /// The sphere that fits the readings algebraically.
-fn ball_through(readings: &Readings, kept: &[bool]) -> Option<Model> {
+fn ball_through(readings: &Readings, weights: &[f64]) -> Option<Model> {
     let centroid = readings.centroid();
-    let mut normal = Matrix4::<f64>::zeros();
-    let mut right = Vector4::<f64>::zeros();
-    for ((p, sigma), _) in readings.points.iter().zip(&readings.sigmas).zip(kept).filter(|x| *x.1) {
+    let rows = readings.points.iter().map(|p| {
         let d = p - centroid;
-        let row = Vector4::new(2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0);
-        let weight = 1.0 / (sigma * sigma);
-        normal += row * row.transpose() * weight;
-        right += row * (d.norm_squared() * weight);
-    }
-    let solution = normal.cholesky()?.solve(&right);
+        ([2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0], d.norm_squared())
+    });
+    let solution = least_squares(rows, weights)?;
     let radius_m = (solution.w + solution.xyz().norm_squared()).sqrt();
     radius_m.is_finite().then_some(Model::Sphere { centre: centroid + solution.xyz(), radius_m })
+}
+
+/// What solves weighted equations, each a row of factors and what they are to add up to, best. A weight of
+/// zero leaves one out.
+fn least_squares<const N: usize>(
+    equations: impl Iterator<Item = ([f64; N], f64)>,
+    weights: &[f64],
+) -> Option<SVector<f64, N>> {
+    // The decomposition looks at the lower triangle alone.
+    let mut normal = SMatrix::<f64, N, N>::zeros();
+    let mut right = SVector::<f64, N>::zeros();
+    for ((row, value), &weight) in equations.zip(weights) {
+        for a in 0..N {
+            for b in 0..=a {
+                normal[(a, b)] += row[a] * row[b] * weight;
+            }
+            right[a] += row[a] * (value * weight);
+        }
+    }
+    Some(normal.cholesky()?.solve(&right))
 }

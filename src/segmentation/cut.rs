@@ -319,6 +319,14 @@ fn extend<S: Simd>(
     let count = tables.len();
     let (past, costs) = (&past[..count], &costs[..count]);
     let doubted = count.min(DOUBTED);
+    let mut per_square = [zero; VECTORS];
+    for (per_square, line) in per_square.iter_mut().zip(&lines) {
+        let steepest = simd.mul_f32s(line.sharpness, line.inverse);
+        let steepest = simd.mul_f32s(steepest, simd.splat_f32s(SLOPE));
+        let square = simd.mul_f32s(steepest, steepest);
+        let square = simd.max_f32s(square, simd.splat_f32s(1e-6));
+        *per_square = simd.div_f32s(simd.splat_f32s(1.0), square);
+    }
     for (k, table) in tables[..doubted].iter().enumerate() {
         let (shared, length) = shared_by_lanes(simd, table);
         let mean = simd.splat_f32s(table.mean);
@@ -328,12 +336,8 @@ fn extend<S: Simd>(
             line.continue_to(simd, shared, past[at][i]);
             let product = simd.sub_f32s(line.b, simd.mul_f32s(mean, line.a));
             let slope = simd.mul_f32s(product, inverse_scatter);
-            let steepest = simd.mul_f32s(line.sharpness, line.inverse);
-            let steepest = simd.mul_f32s(steepest, simd.splat_f32s(SLOPE));
-            let square = simd.mul_f32s(steepest, steepest);
-            let square = simd.max_f32s(square, simd.splat_f32s(1e-6));
             // What the expectation says against the slope, at most what the slope explains.
-            let said = simd.div_f32s(simd.mul_f32s(slope, slope), square);
+            let said = simd.mul_f32s(simd.mul_f32s(slope, slope), per_square[i]);
             let said = simd.min_f32s(said, simd.mul_f32s(slope, product));
             line.offer(simd, costs[at][i], simd.add_f32s(line.error, said), length);
         }

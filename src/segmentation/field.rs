@@ -199,6 +199,7 @@ impl Field {
     /// The angle of each step from the first: tilts need not be evenly spaced.
     fn measure_positions(&mut self) {
         self.positions.clear();
+        let stride = self.lanes.div_ceil(LANE_SAMPLES).max(1);
         let mut position = 0.0;
         for step in 0..self.steps {
             self.positions.push(position);
@@ -206,15 +207,14 @@ impl Field {
                 break;
             }
             self.samples.clear();
-            let stride = self.lanes.div_ceil(LANE_SAMPLES).max(1);
             for lane in (stride / 2..self.lanes).step_by(stride) {
                 let a = step * self.lanes + lane;
                 let b = a + self.lanes;
                 if self.is_valid(a) && self.is_valid(b) {
-                    self.samples.push(self.chord(a, b));
+                    self.samples.push(self.square_chord(a, b));
                 }
             }
-            let gap = median(&mut self.samples).unwrap_or(self.along_rad);
+            let gap = median(&mut self.samples).map_or(self.along_rad, f32::sqrt);
             // Equal rows would make filters singular.
             position += gap.max(0.05 * self.along_rad).max(1e-6);
         }
@@ -222,7 +222,12 @@ impl Field {
 
     /// Distance of the unit directions of two valid cells.
     pub fn chord(&self, a: usize, b: usize) -> f32 {
-        chord(
+        self.square_chord(a, b).sqrt()
+    }
+
+    #[inline]
+    fn square_chord(&self, a: usize, b: usize) -> f32 {
+        square_chord(
             [self.x[a], self.y[a], self.z[a]].map(|v| v * self.inverse[a]),
             [self.x[b], self.y[b], self.z[b]].map(|v| v * self.inverse[b]),
         )
@@ -286,6 +291,13 @@ impl WithSimd for Gains<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let [constant, square, fourth] = self.factors;
+        if square == 0.0 && fourth == 0.0 {
+            let sigma = constant.sqrt();
+            for (gain, &range) in self.gain.iter_mut().zip(self.range) {
+                *gain = range / sigma;
+            }
+            return;
+        }
         for (gain, &range) in self.gain.iter_mut().zip(self.range) {
             let r2 = range * range;
             *gain = range / (constant + r2 * (square + r2 * fourth)).sqrt();
@@ -309,9 +321,9 @@ impl WithSimd for Count<'_> {
 }
 
 #[inline]
-fn chord(a: [f32; 3], b: [f32; 3]) -> f32 {
+fn square_chord(a: [f32; 3], b: [f32; 3]) -> f32 {
     let [x, y, z] = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
-    (x * x + y * y + z * z).sqrt()
+    x * x + y * y + z * z
 }
 
 /// Median angle between neighbours `(down, right)` cells apart; infinite where there are none.
@@ -331,23 +343,28 @@ fn median_pitch(
     while stride > 1 && columns_left.is_multiple_of(stride) {
         stride += 1;
     }
-    for pair in (0..pairs).step_by(stride) {
-        let (row, column) = (pair / columns_left, pair % columns_left);
-        let unit = |cell: usize| {
-            let [x, y, z] = points[cell];
-            let range = (x * x + y * y + z * z).sqrt();
-            (range > NEAREST_M && range < f32::MAX).then(|| [x, y, z].map(|v| v / range))
-        };
-        let a = unit(row * columns + column);
-        let b = unit((row + down) * columns + column + right);
-        if let (Some(a), Some(b)) = (a, b) {
-            samples.push(chord(a, b));
+    // The pairs that there are fill the front; squares of chords are in the chords' order.
+    samples.resize(pairs.div_ceil(stride), 0.0);
+    let (apart, mut row, mut column, mut count) = (down * columns + right, 0, 0, 0);
+    let is_return = |square: f32| (square > NEAREST_M * NEAREST_M) & (square < f32::MAX);
+    for _ in 0..samples.len() {
+        let cell = row * columns + column;
+        let (a, b) = (points[cell], points[cell + apart]);
+        let squares = [a, b].map(|[x, y, z]| x * x + y * y + z * z);
+        let [per_a, per_b] = squares.map(|square| 1.0 / square.sqrt());
+        samples[count] = square_chord(a.map(|v| v * per_a), b.map(|v| v * per_b));
+        count += usize::from(is_return(squares[0]) & is_return(squares[1]));
+        column += stride;
+        while column >= columns_left {
+            column -= columns_left;
+            row += 1;
         }
     }
-    median(samples).map_or(f32::INFINITY, |pitch| pitch.max(1e-6))
+    samples.truncate(count);
+    median(samples).map_or(f32::INFINITY, |square| square.sqrt().max(1e-6))
 }
 
-/// So many values are sorted faster than parted.
+/// So many values are counted faster than parted.
 const FEW_VALUES: usize = 16;
 
 /// The middle value (the upper of two); reorders `values`.
@@ -357,10 +374,31 @@ pub(super) fn median(values: &mut [f32]) -> Option<f32> {
     }
     let middle = values.len() / 2;
     if values.len() <= FEW_VALUES {
-        values.sort_unstable_by(f32::total_cmp);
-        return Some(values[middle]);
+        return Some(value_of_rank(values, middle));
     }
     Some(*values.select_nth_unstable_by(middle, f32::total_cmp).1)
+}
+
+/// The value that so many of few others come before: each is compared with all, which no branch depends
+/// on.
+fn value_of_rank(values: &[f32], rank: usize) -> f32 {
+    // In the order of their bits, as total_cmp has it; what there is none of comes after all.
+    let mut keys = [i32::MAX; FEW_VALUES];
+    for (key, value) in keys.iter_mut().zip(values) {
+        let bits = value.to_bits() as i32;
+        *key = bits ^ ((bits >> 31) as u32 >> 1) as i32;
+    }
+    let mut found = values[0];
+    for (&value, &own) in values.iter().zip(&keys) {
+        let (mut before, mut equal) = (0, 0);
+        for &key in &keys {
+            before += i32::from(key < own);
+            equal += i32::from(key == own);
+        }
+        let ranks = before as usize..(before + equal) as usize;
+        found = if ranks.contains(&rank) { value } else { found };
+    }
+    found
 }
 
 #[cfg(test)]

@@ -55,15 +55,20 @@ impl Plane {
     }
 
     /// Whether a stick lies on the plane.
+    #[inline]
     pub fn fits(&self, stick: &Stick, errors: &ReadingErrors) -> bool {
         let [xx, xy, xz, yy, yz, zz] = self.covariance;
         let unit = stick.gain;
-        stick.ends.iter().all(|&[x, y, z]| {
+        let squares = stick.ends.map(|[x, y, z]| {
             let deviation = self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0;
-            // No gate lets this pass.
-            if deviation * deviation * unit >= WIDEST_GATE * WIDEST_GATE {
-                return false;
-            }
+            deviation * deviation * unit
+        });
+        // No gate lets this pass.
+        if squares[0].max(squares[1]) >= WIDEST_GATE * WIDEST_GATE {
+            return false;
+        }
+        // Both ends at once: one that is told first spares less than a branch costs.
+        let gates = stick.ends.map(|[x, y, z]| {
             let known =
                 xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
             // Each end stands for half the readings.
@@ -72,9 +77,10 @@ impl Plane {
                 let common = 1.0 + (errors.patch * unit * known).min(MOST_COMMON);
                 variance = (1.0 - errors.common) * variance + errors.common * common;
             }
-            let gate = GATE * variance.sqrt() + SLACK;
-            gate < WIDEST_GATE && deviation * deviation * unit < gate * gate
-        })
+            GATE * variance.sqrt() + SLACK
+        });
+        let passes = |k: usize| (gates[k] < WIDEST_GATE) & (squares[k] < gates[k] * gates[k]);
+        passes(0) & passes(1)
     }
 }
 
@@ -87,6 +93,8 @@ pub(super) struct Grower {
     pub regions: Vec<Region>,
     order: Vec<u32>,
     front: Vec<u32>,
+    /// Sticks beside one that have no region yet.
+    free: Vec<u32>,
     moments: Vec<Moments>,
     pub merger: Merger,
 }
@@ -122,16 +130,16 @@ impl Grower {
     fn sort_by_length(&mut self, sticks: &Sticks) {
         // Where the sticks of each length begin, from the longest on.
         let mut starts = [0; LONGEST + 2];
-        let place = |stick: &Stick| LONGEST - stick.n as usize;
-        for stick in &sticks.sticks {
-            starts[place(stick) + 1] += 1;
+        let place = |[first, last]: [u32; 2]| LONGEST - 1 - (last - first) as usize;
+        for &span in &sticks.spans {
+            starts[place(span) + 1] += 1;
         }
         for place in 0..LONGEST {
             starts[place + 1] += starts[place];
         }
         self.order.resize(sticks.sticks.len(), 0);
-        for (s, stick) in sticks.sticks.iter().enumerate() {
-            let start = &mut starts[place(stick)];
+        for (s, &span) in sticks.spans.iter().enumerate() {
+            let start = &mut starts[place(span)];
             self.order[*start] = s as u32;
             *start += 1;
         }
@@ -185,10 +193,20 @@ impl Grower {
         while at < self.front.len() {
             let stick = self.front[at];
             at += 1;
-            for s in sticks.around(stick).into_iter().flatten() {
-                if self.region_of[s as usize] != 0 {
-                    continue;
+            // Which of them are free is hard to foretell, so they are listed without a branch for each.
+            let around = sticks.around(stick);
+            let count: usize = around.iter().map(ExactSizeIterator::len).sum();
+            self.free.resize(self.free.len().max(count), 0);
+            let mut free = 0;
+            for range in around {
+                for (&region, s) in
+                    self.region_of[range.start as usize..range.end as usize].iter().zip(range)
+                {
+                    self.free[free] = s;
+                    free += usize::from(region == 0);
                 }
+            }
+            for &s in &self.free[..free] {
                 let other = &sticks.sticks[s as usize];
                 if !region.plane.fits(other, &field.errors) {
                     continue;
@@ -214,8 +232,9 @@ impl Grower {
             let region = self.region_of[s as usize];
             if region != 0 {
                 for others in sticks.after(s) {
-                    for &other in &self.region_of[others.start as usize..others.end as usize] {
-                        self.merger.push_pair(region, other);
+                    let others = &self.region_of[others.start as usize..others.end as usize];
+                    if others.iter().fold(0, |all, other| all | (other ^ region)) != 0 {
+                        others.iter().for_each(|&other| self.merger.push_pair(region, other));
                     }
                 }
             }

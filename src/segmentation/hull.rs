@@ -19,8 +19,16 @@ fn cross(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-fn distance_squared(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (b[0] - a[0]).powi(2) + (b[1] - a[1]).powi(2)
+/// Continues a hull that turns left at all points but the first so many.
+fn climb(points: impl Iterator<Item = [f64; 2]>, hull: &mut Vec<Point2<f64>>, kept: usize) {
+    for point in points {
+        while let [.., a, b] = hull[kept..]
+            && cross([a.x, a.y], [b.x, b.y], point) <= 0.0
+        {
+            hull.pop();
+        }
+        hull.push(point.into());
+    }
 }
 
 fn narrow(v: &Vector3<f64>) -> [f32; 3] {
@@ -31,7 +39,7 @@ impl HullFinder {
     /// The convex hull of `points`, counter-clockwise from the lowest (then leftmost) point, as
     /// [`convex_hull`](crate::geometry::convex_hull) gives it; empty where there is none.
     ///
-    /// Jarvis's march costs O(n h), so the points that cannot be vertices are dropped first: those
+    /// Sorting costs the most, so the points that cannot be vertices are dropped first: those
     /// strictly inside a polygon of others, which is all but a few per cent of a filled region.
     #[cfg(test)]
     pub fn find(&mut self, points: &[[f64; 2]], hull: &mut Vec<Point2<f64>>) {
@@ -44,7 +52,7 @@ impl HullFinder {
         self.march(hull);
     }
 
-    /// Jarvis's march around the candidates.
+    /// Andrew's monotone chains around the candidates: up on the right, down on the left.
     fn march(&mut self, hull: &mut Vec<Point2<f64>>) {
         hull.clear();
         let candidates = &mut self.candidates;
@@ -52,30 +60,13 @@ impl HullFinder {
         candidates.retain(|point| point.iter().all(|value| value.is_finite()));
         candidates.sort_unstable_by(|a, b| a[1].total_cmp(&b[1]).then(a[0].total_cmp(&b[0])));
         candidates.dedup();
-        if candidates.len() < 3 {
-            return;
-        }
-        let mut current = 0;
-        // Rounding can hide the start from the march; n steps end it.
-        for _ in 0..candidates.len() {
-            let here = candidates[current];
-            hull.push(Point2::new(here[0], here[1]));
-            let mut next = usize::from(current == 0);
-            for (i, &point) in candidates.iter().enumerate() {
-                if i == current || i == next {
-                    continue;
-                }
-                let turn = cross(here, candidates[next], point);
-                let farther =
-                    || distance_squared(here, point) > distance_squared(here, candidates[next]);
-                if turn < 0.0 || (turn == 0.0 && farther()) {
-                    next = i;
-                }
-            }
-            current = next;
-            if current == 0 {
-                break;
-            }
+        let Some(&lowest) = candidates.first() else { return };
+        climb(candidates.iter().copied(), hull, 0);
+        let highest = hull.len() - 1;
+        climb(candidates.iter().rev().skip(1).copied(), hull, highest);
+        // The chain comes down to where it began.
+        if hull.last() == Some(&lowest.into()) {
+            hull.pop();
         }
         if hull.len() < 3 || crate::geometry::polygon_area(hull) <= 0.0 {
             hull.clear();

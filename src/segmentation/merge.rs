@@ -33,6 +33,9 @@ pub(super) struct Merger {
 /// Replacements for which all labels are gone through once for each: more are looked up.
 const FEW_MOVED: usize = 12;
 
+/// Labels that are replaced at a time.
+const REPLACED: usize = 32;
+
 /// Replaces labels, many at a time.
 struct Replace<'a> {
     labels: &'a mut [u32],
@@ -44,8 +47,17 @@ impl WithSimd for Replace<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        for &(from, to) in self.moved {
-            for label in &mut *self.labels {
+        // All of them for some labels, then for others: labels are loaded once.
+        let (parts, rest) = self.labels.as_chunks_mut::<REPLACED>();
+        for part in parts {
+            for &(from, to) in self.moved {
+                for label in &mut *part {
+                    *label = if *label == from { to } else { *label };
+                }
+            }
+        }
+        for label in rest {
+            for &(from, to) in self.moved {
                 *label = if *label == from { to } else { *label };
             }
         }
@@ -92,9 +104,15 @@ impl Merger {
                 let near = neighbours8(cell, width, labels.len()).filter(|&n| n > cell);
                 near.for_each(|n| self.push_pair(label, labels[n]));
             } else {
-                self.push_pair(label, labels[cell + 1]);
-                for &below in &labels[cell + width - 1..cell + width + 2] {
-                    self.push_pair(label, below);
+                let below = &labels[cell + width - 1..cell + width + 2];
+                let others = [labels[cell + 1], below[0], below[1], below[2]];
+                let mut last = label;
+                for other in others {
+                    // Mostly the cell's own, or the same again.
+                    if (other != label) & (other != last) {
+                        self.push_pair(label, other);
+                    }
+                    last = other;
                 }
             }
         }

@@ -31,6 +31,8 @@ const SIZE_SHIFT: u32 = 20;
 /// Size class of 2^-15 m, the smallest that is told apart: a third of [`LEAST_M`]. The largest is all
 /// beyond 2 m.
 const FIRST_SIZE: u32 = (127 - 15) << 3;
+/// Bins that are added up at a time; a class has some times as many.
+const COUNTED: usize = 8;
 /// Fewest samples that make a class of range count.
 const FEWEST: f64 = 60.0;
 /// About how many samples are taken of a scan: of next neighbours, which tell the
@@ -375,7 +377,14 @@ impl NoiseEstimator {
 
     /// Samples in classes.
     fn samples(&self, classes: Range<usize>) -> f64 {
-        f64::from(self.bins[bins_of(classes)].iter().map(|bin| bin[0]).sum::<f32>())
+        // Whole numbers, whose sum is exact in any order.
+        let mut sums = [0.0; COUNTED];
+        for bins in self.bins[bins_of(classes)].as_chunks::<COUNTED>().0 {
+            for (sum, bin) in sums.iter_mut().zip(bins) {
+                *sum += bin[0];
+            }
+        }
+        f64::from(sums.iter().sum::<f32>())
     }
 
     /// The variance in each class of range, from the part that the probe keeps and from the part that
@@ -397,7 +406,11 @@ impl NoiseEstimator {
                 Some(Class { range_m, variance, samples })
             };
             told.0[class] = part(probe.kept, probe.kept_variance);
-            told.1[class] = part(FAR_KEPT, FAR_KEPT_VARIANCE);
+            told.1[class] = if probe.kept == FAR_KEPT {
+                told.0[class]
+            } else {
+                part(FAR_KEPT, FAR_KEPT_VARIANCE)
+            };
         }
         told
     }

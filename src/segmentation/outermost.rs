@@ -32,11 +32,10 @@ impl Outermost {
     /// The polygon starts with the extreme points in eight directions, and between two of its
     /// vertices comes the point that is farthest beyond their edge, twice.
     pub fn keep(&mut self, points: impl Iterator<Item = [f32; 2]>, named: &mut Vec<u32>) {
-        self.x.clear();
-        self.y.clear();
-        for [x, y] in points {
-            self.x.push(x);
-            self.y.push(y);
+        self.x.resize(named.len(), 0.0);
+        self.y.resize(named.len(), 0.0);
+        for ((point, x), y) in points.zip(&mut self.x).zip(&mut self.y) {
+            [*x, *y] = point;
         }
         if named.is_empty() {
             return;

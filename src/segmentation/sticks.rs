@@ -82,7 +82,7 @@ pub(super) struct Sticks {
     /// First stick of each lane, and the end of the last.
     starts: Vec<u32>,
     /// First and last step of each stick, close together.
-    spans: Vec<[u32; 2]>,
+    pub spans: Vec<[u32; 2]>,
     /// Sticks of the lane before, of its own and of the lane after that touch each stick, corners
     /// included: first and end each. Its own are a stick itself and those next to it.
     beside: Vec<[[u32; 2]; 3]>,

@@ -239,7 +239,10 @@ fn sphere_is_seen(readings: &Readings, sphere: &SphereFit, limits: &ShapeLimits)
     let beyond = readings
         .points
         .iter()
-        .filter(|p| (*p - sphere.centre).normalize().dot(&middle) < outside)
+        .filter(|p| {
+            let radial = *p - sphere.centre;
+            radial.dot(&middle) < outside * radial.norm()
+        })
         .count();
     beyond * 20 >= readings.len()
 }

@@ -147,6 +147,7 @@ impl Readings {
         self.rays_by_column.clear();
     }
 
+    #[inline]
     pub fn push(&mut self, point: [f64; 3], inverse: f64, sigma: f64, core: bool) {
         let point = Vector3::from(point);
         let ray = point * inverse;

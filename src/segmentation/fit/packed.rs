@@ -8,7 +8,10 @@ const COPIED: usize = 16;
 const COLUMNS: usize = 6;
 
 /// Runs put end to end: those of most regions are shorter than a vector, or a little longer.
+///
+/// Columns begin where lines of the cache do, so no vector is in two of them.
 #[derive(Clone, Debug)]
+#[repr(C, align(64))]
 pub(in super::super) struct Packed {
     pub columns: [[f32; FULL + COPIED]; COLUMNS],
     pub count: usize,

@@ -13,9 +13,14 @@ const BLOCK: usize = 8;
 /// last block's places without a reading have zero.
 #[derive(Clone, Debug, Default)]
 pub(super) struct RayColumns {
-    blocks: Vec<[[f32; BLOCK]; 7]>,
+    blocks: Vec<Block>,
     count: usize,
 }
+
+/// Columns of some readings, aligned as vectors are.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+struct Block([[f32; BLOCK]; 7]);
 
 impl RayColumns {
     pub fn clear(&mut self) {
@@ -23,15 +28,16 @@ impl RayColumns {
         self.count = 0;
     }
 
+    #[inline]
     pub fn push(&mut self, point: [f64; 3], ray: [f64; 3], sigma: f64) {
         let place = self.count % BLOCK;
         if place == 0 {
-            self.blocks.push([[0.0; BLOCK]; 7]);
+            self.blocks.push(Block([[0.0; BLOCK]; 7]));
         }
         self.count += 1;
         let ([x, y, z], [u, v, w]) = (point, ray);
         if let Some(block) = self.blocks.last_mut() {
-            for (column, value) in block.iter_mut().zip([x, y, z, u, v, w, 1.0 / sigma]) {
+            for (column, value) in block.0.iter_mut().zip([x, y, z, u, v, w, 1.0 / sigma]) {
                 column[place] = value as f32;
             }
         }
@@ -117,7 +123,7 @@ struct Readings<V> {
 
 /// A vector of a block.
 #[inline(always)]
-fn load<S: Simd>(block: &[[f32; BLOCK]; 7], at: usize) -> Readings<S::f32s> {
+fn load<S: Simd>(Block(block): &Block, at: usize) -> Readings<S::f32s> {
     let [x, y, z, u, v, w, per_sigma] = block;
     Readings {
         point: [one::<S>(x, at), one::<S>(y, at), one::<S>(z, at)],
