@@ -166,6 +166,32 @@ fn a_tilt_without_readings_that_sticks_before_its_law_is_found_files_no_false_ro
 }
 
 #[test]
+fn limits_narrower_than_told_before_the_law_is_found_leave_the_rows_within() {
+    for (dialect, scenario) in STATIONS {
+        for (at_s, limit_rad) in [(3.0, 0.1), (20.0, 0.2)] {
+            let limit = fault(FaultKind::TiltLimits, at_s, Some(limit_rad));
+            let (_, scans) = without_readings_of(dialect, scenario, limit, 2);
+            let filed = scans[1].filed;
+            assert!(filed >= 10, "{scenario} {limit_rad}: {filed}: {:?}", scans[1].remarks);
+        }
+    }
+}
+
+#[test]
+fn a_tilt_without_readings_that_sticks_for_a_while_loses_the_rows_of_that_while() {
+    for (dialect, scenario) in STATIONS {
+        for (at_s, for_s) in [(40.0, 4.0), (55.0, 4.0), (55.0, 8.0), (60.0, 8.0), (55.0, 15.0)] {
+            let stuck = FaultSpec { for_s: Some(for_s), ..fault(FaultKind::TiltStuck, at_s, None) };
+            let (bench, scans) = without_readings_of(dialect, scenario, stuck, 1);
+            let what = format!("{scenario}, {for_s} s from {at_s} s: {:?}", scans[0].remarks);
+            assert!(!scans[0].complete && scans[0].filed >= 60, "{} {what}", scans[0].filed);
+            assert!(tells(&scans[0], "rows are left out"), "{what}");
+            assert!(!bench.acquisition.is_stuck(), "{what}");
+        }
+    }
+}
+
+#[test]
 fn limits_met_on_the_way_to_the_first_row_leave_out_the_rows_beyond() {
     for (dialect, scenario) in STATIONS {
         for limit_rad in [0.25, 0.35] {

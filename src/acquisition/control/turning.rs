@@ -89,7 +89,13 @@ impl HeadControl {
 
     /// Whether a line cast at `cast` is not believed: the laser saw no turn then, or soon after.
     pub(in crate::acquisition) fn doubts(&self, cast: Stamp) -> bool {
-        self.still.doubts(cast, self.slowing())
+        // Nearer than this, in radians, the tilt has caught up: half a row.
+        const CAUGHT_UP_RAD: f64 = 0.002;
+        let catches_up = |behind_rad: f64| {
+            let law_s = self.tilt.law().map_or(0.0, |law| law.settle_s(behind_rad, CAUGHT_UP_RAD));
+            Span::from_seconds(law_s) + self.times_unsure()
+        };
+        self.still.doubts(cast, self.slowing(), catches_up)
     }
 
     /// Until then it is unsure where the tilt is, an end of its reach having been found by the laser.

@@ -95,6 +95,30 @@ pub(super) fn agreement(a: &LaserLine, b: &LaserLine) -> Agreement {
     }
 }
 
+/// How many beams of two whole lines, taken from one place, differ by more than the noise, and how many
+/// can be compared.
+pub(super) fn changed_beams(a: &LaserLine, b: &LaserLine) -> (usize, usize) {
+    let quantum_m = quantum_m(a).max(quantum_m(b));
+    let (mut changed, mut told) = (0, 0);
+    for beam in 0..a.len().min(b.len()) {
+        match (a.classify(beam), b.classify(beam)) {
+            (Return::Hit(first), Return::Hit(second)) if first.max(second) >= NEAREST_M => {
+                told += 1;
+                let differs = (second / first).ln().abs() > NOISE + 1.1 * quantum_m / first;
+                changed += usize::from(differs);
+            }
+            (Return::Hit(range_m), Return::Nothing) | (Return::Nothing, Return::Hit(range_m))
+                if range_m >= NEAREST_M =>
+            {
+                told += 1;
+                changed += 1;
+            }
+            _ => {}
+        }
+    }
+    (changed, told)
+}
+
 /// Beams of two lines, compared.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
