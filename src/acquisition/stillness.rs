@@ -61,10 +61,26 @@ pub(super) struct Expected {
     /// What the law's times may be wrong by, either way: what it says of less than that after the
     /// first line of a run, and before the last, is not held against the tilt.
     pub unsure: Span,
+    /// Least and greatest tilt by the law as far as its times may be wrong.
+    pub span_rad: (f64, f64),
+    /// Where the law may have had it so long after the line before, by what was commanded since.
+    pub before_rad: Option<f64>,
+    /// The tilt that looks level.
+    pub level_rad: f64,
     /// How high the laser stands above the floor, in metres, where that is known.
     pub height_m: Option<f64>,
     /// Whether the robot stood still since the line before.
     pub stood: bool,
+}
+
+impl Expected {
+    /// By a law whose times are known.
+    #[cfg(test)]
+    fn sure(tilt_rad: f64, stood: bool) -> Self {
+        let span_rad = (tilt_rad, tilt_rad);
+        let unsure = Span::ZERO;
+        Self { tilt_rad, unsure, span_rad, before_rad: None, level_rad: 0.0, height_m: None, stood }
+    }
 }
 
 /// A tilt that does not turn although it was told to.
@@ -125,6 +141,7 @@ impl StillWatch {
         let facing = self.steepest_facing();
         if let Some(seen) = self.recent.back_mut() {
             seen.tilt_rad = tilt_rad;
+            seen.span_rad = (tilt_rad, tilt_rad);
             self.reached_rad = Some(tilt_rad);
             let mut run = Run::changed(seen.clone(), facing);
             // It has rested there for long, so that its time is not in doubt.
@@ -147,7 +164,13 @@ impl StillWatch {
         if self.recent.back().is_some_and(|latest| latest.cast >= cast) {
             return;
         }
-        let seen = Seen { line: line.clone(), cast, tilt_rad: expected.tilt_rad };
+        self.widen_newest(expected);
+        let seen = Seen {
+            line: line.clone(),
+            cast,
+            tilt_rad: expected.tilt_rad,
+            span_rad: expected.span_rad,
+        };
         if !expected.stood {
             // From elsewhere all looks different, whatever the tilt does.
             self.close_run();
@@ -155,9 +178,9 @@ impl StillWatch {
             self.recent.clear();
         }
         let doubt = match &mut self.whole {
-            Some(whole) => whole.extend(&seen, expected),
+            Some(whole) => whole.extend(&seen, &self.recent, expected),
             whole @ None => {
-                *whole = Some(Whole::begin(seen.clone(), None));
+                *whole = Some(Whole::begin(seen.clone(), Vec::new()));
                 None
             }
         };
@@ -179,6 +202,18 @@ impl StillWatch {
             self.recent.pop_front();
         }
         self.recent.push_back(seen);
+    }
+
+    /// A command that was sent on the newest line may have been obeyed before it was cast, as far as times
+    /// are unsure.
+    fn widen_newest(&mut self, expected: &Expected) {
+        let (Some(newest), Some(tilt_rad)) = (self.recent.back_mut(), expected.before_rad) else {
+            return;
+        };
+        newest.widen(tilt_rad);
+        if let Some(whole) = self.whole.as_mut().filter(|whole| whole.first.cast == newest.cast) {
+            whole.first.widen(tilt_rad);
+        }
     }
 
     /// A run that begins with a line which differs from those before it.
@@ -248,6 +283,11 @@ impl StillWatch {
         self.run.as_ref().is_some_and(|run| run.before_rad.is_some() && run.first.cast > stamp)
     }
 
+    /// Whether the newest lines are alike, and the next will tell whether they should be.
+    pub(super) fn is_undecided(&self) -> bool {
+        self.whole.as_ref().is_some_and(Whole::is_undecided)
+    }
+
     /// When the newest line was cast.
     pub(super) fn newest(&self) -> Option<Stamp> {
         self.recent.back().map(|seen| seen.cast)
@@ -310,7 +350,7 @@ mod tests {
             line.stamp = cast;
             let height_m = Some(0.33 - world.ground_z);
             let tilt_rad = law.to_radians();
-            let expected = Expected { tilt_rad, unsure: Span::ZERO, height_m, stood: true };
+            let expected = Expected { height_m, ..Expected::sure(tilt_rad, true) };
             watch.note(&line, cast, Some(&expected));
         }
         watch
@@ -417,8 +457,7 @@ mod tests {
     #[test]
     fn what_changes_because_the_robot_drives_is_no_turn_of_the_tilt() {
         let mut watch = StillWatch::default();
-        let expected =
-            |tilt_rad, stood| Expected { tilt_rad, unsure: Span::ZERO, height_m: None, stood };
+        let expected = Expected::sure;
         let line = |tilt_rad| {
             line_at(&World::default(), &head(None, None), HeadPose::tilted(tilt_rad), 1.0)
         };

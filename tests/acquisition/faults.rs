@@ -192,6 +192,30 @@ fn a_tilt_without_readings_that_sticks_for_a_while_loses_the_rows_of_that_while(
 }
 
 #[test]
+fn a_clean_slow_sweep_without_readings_loses_no_row() {
+    for (dialect, scenario) in STATIONS {
+        let setting = Setting { scenario, ..Setting::new(dialect, false) };
+        let mut bench = Bench::new(&setting, AcquisitionConfig::default());
+        bench.calibrate();
+        for _ in 0..2 {
+            let scan = bench.take(SweepRequest::continuous());
+            assert!(scan.complete && scan.filed >= 70, "{scenario}: {}", scan.filed);
+            assert!(!tells(&scan, "left out"), "{scenario}: {:?}", scan.remarks);
+        }
+    }
+}
+
+#[test]
+fn a_limit_met_two_degrees_before_the_end_leaves_out_the_rows_beyond() {
+    for (dialect, scenario) in STATIONS {
+        let limit = fault(FaultKind::TiltLimits, 60.0, Some(0.4));
+        let (_, scans) = without_readings_of(dialect, scenario, limit, 1);
+        assert!(!scans[0].complete && scans[0].filed >= 190, "{scenario}: {}", scans[0].filed);
+        assert!(tells(&scans[0], "rows are left out"), "{scenario}: {:?}", scans[0].remarks);
+    }
+}
+
+#[test]
 fn limits_met_on_the_way_to_the_first_row_leave_out_the_rows_beyond() {
     for (dialect, scenario) in STATIONS {
         for limit_rad in [0.25, 0.35] {
