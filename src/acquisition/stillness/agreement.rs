@@ -184,7 +184,7 @@ impl Changes {
             if range_m >= NEAREST_M {
                 changes.told += 1;
                 changes.changed += usize::from(differs);
-                changes.afar += usize::from(one_hits && range_m > AFAR * a.max_range_m);
+                changes.afar += usize::from(one_hits && differs && range_m > AFAR * a.max_range_m);
                 changes.tolerances += tolerance(quantum_m, range_m);
             }
         }
@@ -210,7 +210,7 @@ impl Changes {
     /// Whether what changed came into sight, or went out of it, at the end of the laser's range, as floors
     /// and roofs do when the tilt turns.
     pub fn comes_from_afar(&self) -> bool {
-        2 * self.afar > self.changed
+        self.changed > FEW && 2 * self.afar > self.changed
     }
 
     /// What the logarithm of a range may differ by in the middle of all beams.
