@@ -15,6 +15,7 @@
 
 mod agreement;
 mod run;
+mod whole;
 
 use crate::scan::LaserLine;
 use crate::time::{Span, Stamp};
@@ -22,21 +23,34 @@ use agreement::{Agreement, Facing, Seen, agreement, facing};
 use run::Run;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
+use whole::Whole;
 
 /// Watches lines beside the tilts that the servo law gives them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct StillWatch {
     run: Option<Run>,
+    /// Lines alike from side to side.
+    whole: Option<Whole>,
     /// The newest lines, oldest first.
     recent: VecDeque<Seen>,
     /// What the last two changes say of the surface in sight.
     facings: [Option<Facing>; 2],
     /// The last tilt, by the law, that was seen to be reached.
     reached_rad: Option<f64>,
-    /// First and last line of runs that should have changed and did not, by their casting.
-    doubted: Vec<(Stamp, Stamp)>,
+    /// Lines that should have changed and did not.
+    doubted: Vec<Doubt>,
     /// Least and greatest tilt by the law during such a run, where the newest line ended it.
     came_free: Option<(f64, f64)>,
+}
+
+/// Lines that should have changed and did not.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+struct Doubt {
+    /// Casting of the first and of the last of them.
+    first: Stamp,
+    last: Stamp,
+    /// How far the law had the tilt turn meanwhile, in radians: so far it may have fallen behind.
+    travel_rad: f64,
 }
 
 /// What is expected of a line.
@@ -47,10 +61,26 @@ pub(super) struct Expected {
     /// What the law's times may be wrong by, either way: what it says of less than that after the
     /// first line of a run, and before the last, is not held against the tilt.
     pub unsure: Span,
+    /// Least and greatest tilt by the law as far as its times may be wrong.
+    pub span_rad: (f64, f64),
+    /// Where the law may have had it so long after the line before, by what was commanded since.
+    pub before_rad: Option<f64>,
+    /// The tilt that looks level.
+    pub level_rad: f64,
     /// How high the laser stands above the floor, in metres, where that is known.
     pub height_m: Option<f64>,
     /// Whether the robot stood still since the line before.
     pub stood: bool,
+}
+
+impl Expected {
+    /// By a law whose times are known.
+    #[cfg(test)]
+    fn sure(tilt_rad: f64, stood: bool) -> Self {
+        let span_rad = (tilt_rad, tilt_rad);
+        let unsure = Span::ZERO;
+        Self { tilt_rad, unsure, span_rad, before_rad: None, level_rad: 0.0, height_m: None, stood }
+    }
 }
 
 /// A tilt that does not turn although it was told to.
@@ -107,9 +137,11 @@ impl StillWatch {
     /// Begins anew with the newest line, taken to have been cast at `tilt_rad`.
     pub(super) fn restart_at(&mut self, tilt_rad: f64) {
         self.run = None;
+        self.close_whole();
         let facing = self.steepest_facing();
         if let Some(seen) = self.recent.back_mut() {
             seen.tilt_rad = tilt_rad;
+            seen.span_rad = (tilt_rad, tilt_rad);
             self.reached_rad = Some(tilt_rad);
             let mut run = Run::changed(seen.clone(), facing);
             // It has rested there for long, so that its time is not in doubt.
@@ -124,6 +156,7 @@ impl StillWatch {
         self.came_free = None;
         let Some(expected) = expected else {
             self.close_run();
+            self.close_whole();
             self.recent.clear();
             return;
         };
@@ -131,12 +164,27 @@ impl StillWatch {
         if self.recent.back().is_some_and(|latest| latest.cast >= cast) {
             return;
         }
-        let seen = Seen { line: line.clone(), cast, tilt_rad: expected.tilt_rad };
+        self.widen_newest(expected);
+        let seen = Seen {
+            line: line.clone(),
+            cast,
+            tilt_rad: expected.tilt_rad,
+            span_rad: expected.span_rad,
+        };
         if !expected.stood {
             // From elsewhere all looks different, whatever the tilt does.
             self.close_run();
+            self.close_whole();
             self.recent.clear();
         }
+        let doubt = match &mut self.whole {
+            Some(whole) => whole.extend(&seen, &self.recent, expected),
+            whole @ None => {
+                *whole = Some(Whole::begin(seen.clone(), Vec::new()));
+                None
+            }
+        };
+        self.add_doubt(doubt);
         let with_first =
             self.run.as_ref().map_or(Agreement::Unknown, |run| agreement(&run.first.line, line));
         if !self.run.as_mut().is_some_and(|run| run.extend(&seen, with_first, expected)) {
@@ -154,6 +202,18 @@ impl StillWatch {
             self.recent.pop_front();
         }
         self.recent.push_back(seen);
+    }
+
+    /// A command that was sent on the newest line may have been obeyed before it was cast, as far as times
+    /// are unsure.
+    fn widen_newest(&mut self, expected: &Expected) {
+        let (Some(newest), Some(tilt_rad)) = (self.recent.back_mut(), expected.before_rad) else {
+            return;
+        };
+        newest.widen(tilt_rad);
+        if let Some(whole) = self.whole.as_mut().filter(|whole| whole.first.cast == newest.cast) {
+            whole.first.widen(tilt_rad);
+        }
     }
 
     /// A run that begins with a line which differs from those before it.
@@ -223,25 +283,49 @@ impl StillWatch {
         self.run.as_ref().is_some_and(|run| run.before_rad.is_some() && run.first.cast > stamp)
     }
 
+    /// Whether the newest lines are alike, and the next will tell whether they should be.
+    pub(super) fn is_undecided(&self) -> bool {
+        self.whole.as_ref().is_some_and(Whole::is_undecided)
+    }
+
     /// When the newest line was cast.
     pub(super) fn newest(&self) -> Option<Stamp> {
         self.recent.back().map(|seen| seen.cast)
     }
 
     /// Whether a line cast at `cast`, or within `slowing` after it, belongs to lines that should have
-    /// changed and did not.
-    pub(super) fn doubts(&self, cast: Stamp, slowing: Span) -> bool {
-        let open = self.run.as_ref().filter(|run| run.is_doubtful()).map(Run::bounds);
-        let within = |&(first, last): &(Stamp, Stamp)| first <= cast + slowing && cast <= last;
-        self.doubted.iter().chain(open.as_ref()).any(within)
+    /// changed and did not, or was cast while the tilt made up for the way by which it had fallen behind,
+    /// for which it needs `catches_up`.
+    pub(super) fn doubts(
+        &self,
+        cast: Stamp,
+        slowing: Span,
+        catches_up: impl Fn(f64) -> Span,
+    ) -> bool {
+        let run = self.run.as_ref().filter(|run| run.is_doubtful()).map(Run::doubt);
+        let open = run.into_iter().chain(self.whole.as_ref().and_then(Whole::open_doubt));
+        let within = |doubt: Doubt| {
+            doubt.first <= cast + slowing && cast <= doubt.last + catches_up(doubt.travel_rad)
+        };
+        self.doubted.iter().copied().chain(open).any(within)
     }
 
     fn close_run(&mut self) {
-        let Some(run) = self.run.take().filter(Run::is_doubtful) else { return };
+        let run = self.run.take().filter(Run::is_doubtful);
+        self.add_doubt(run.map(|run| run.doubt()));
+    }
+
+    fn close_whole(&mut self) {
+        let whole = self.whole.take();
+        self.add_doubt(whole.and_then(|whole| whole.open_doubt()));
+    }
+
+    fn add_doubt(&mut self, doubt: Option<Doubt>) {
+        let Some(doubt) = doubt else { return };
         if self.doubted.len() == DOUBTS {
             self.doubted.remove(0);
         }
-        self.doubted.push(run.bounds());
+        self.doubted.push(doubt);
     }
 }
 
@@ -266,7 +350,7 @@ mod tests {
             line.stamp = cast;
             let height_m = Some(0.33 - world.ground_z);
             let tilt_rad = law.to_radians();
-            let expected = Expected { tilt_rad, unsure: Span::ZERO, height_m, stood: true };
+            let expected = Expected { height_m, ..Expected::sure(tilt_rad, true) };
             watch.note(&line, cast, Some(&expected));
         }
         watch
@@ -287,8 +371,8 @@ mod tests {
         assert!((1.5..=4.6).contains(&unmoved.rest_rad.to_degrees()), "{unmoved:?}");
         assert!(unmoved.towards > 0.0 && unmoved.since >= Stamp::from_seconds(102.5));
         assert!(
-            watch.doubts(unmoved.since, Span::ZERO)
-                && !watch.doubts(Stamp::from_seconds(102.3), Span::ZERO)
+            watch.doubts(unmoved.since, Span::ZERO, |_| Span::ZERO)
+                && !watch.doubts(Stamp::from_seconds(102.3), Span::ZERO, |_| Span::ZERO)
         );
     }
 
@@ -328,7 +412,11 @@ mod tests {
         let watch = watched(&World::default(), &moves.chain(stops).collect::<Vec<_>>());
         assert_eq!(watch.unmoved(Span::ZERO), None, "five quarters of a degree prove nothing");
         let doubted: Vec<bool> = (0..46)
-            .map(|i| watch.doubts(Stamp::from_seconds(100.0 + 0.2 * f64::from(i)), Span::ZERO))
+            .map(|i| {
+                watch.doubts(Stamp::from_seconds(100.0 + 0.2 * f64::from(i)), Span::ZERO, |_| {
+                    Span::ZERO
+                })
+            })
             .collect();
         assert!(doubted[..40].iter().all(|doubted| !doubted), "{doubted:?}");
         assert!(doubted[40..].iter().all(|&doubted| doubted), "{doubted:?}");
@@ -356,18 +444,20 @@ mod tests {
         let up: Vec<(f64, f64)> = steps(-25.0, 0.5, 50).map(|tilt| (0.0, tilt)).collect();
         let watch = watched(&hall, &up);
         assert_eq!(watch.unmoved(Span::ZERO), None);
-        assert!(watch.doubts(Stamp::from_seconds(105.0), Span::ZERO));
+        assert!(watch.doubts(Stamp::from_seconds(105.0), Span::ZERO, |_| Span::ZERO));
         // One that does turn sees the floor come and go.
         let moving: Vec<(f64, f64)> = steps(0.0, 0.5, 60).map(|tilt| (tilt, tilt)).collect();
         let watch = watched(&hall, &moving);
-        assert!(!watch.suspects() && !watch.doubts(Stamp::from_seconds(109.0), Span::ZERO));
+        assert!(
+            !watch.suspects()
+                && !watch.doubts(Stamp::from_seconds(109.0), Span::ZERO, |_| Span::ZERO)
+        );
     }
 
     #[test]
     fn what_changes_because_the_robot_drives_is_no_turn_of_the_tilt() {
         let mut watch = StillWatch::default();
-        let expected =
-            |tilt_rad, stood| Expected { tilt_rad, unsure: Span::ZERO, height_m: None, stood };
+        let expected = Expected::sure;
         let line = |tilt_rad| {
             line_at(&World::default(), &head(None, None), HeadPose::tilted(tilt_rad), 1.0)
         };
@@ -413,7 +503,7 @@ mod tests {
             // Farther away fewer than three of these beams, 3° apart, hit what is straight ahead.
             let sees_ahead = front < 6.5;
             let doubted = (0..tilts.len() * usize::from(sees_ahead))
-                .filter(|&i| watch.doubts(Stamp::from_seconds(100.0 + 0.2 * i as f64), Span::ZERO))
+                .filter(|&i| watch.doubts(Stamp::from_seconds(100.0 + 0.2 * i as f64), Span::ZERO, |_| Span::ZERO))
                 .count();
             prop_assert_eq!(doubted, 0);
         }

@@ -2,7 +2,7 @@ use super::beams::Beams;
 use super::head::ScanHead;
 use crate::protocol::Dialect;
 use crate::protocol::message::sen::RangeScanner;
-use crate::scan::LaserLine;
+use crate::scan::{LaserLine, are_whole_steps};
 use crate::time::{Span, Stamp};
 use serde::{Deserialize, Serialize};
 
@@ -127,9 +127,7 @@ impl Laser {
     /// Ranges as meant, and what those carry that hit nothing, where the line shows it.
     fn udk_ranges(&self, ranges_m: &[f64], step_rad: f64) -> (Vec<f64>, Option<f64>) {
         // A scanner that writes finer than two decimals is no SICK of UDK and is not cut to them.
-        let coarse = ranges_m
-            .iter()
-            .all(|r| ((r / UDK_RANGE_STEP_M).round() * UDK_RANGE_STEP_M - r).abs() < 1e-6);
+        let coarse = are_whole_steps(ranges_m, UDK_RANGE_STEP_M);
         let step_m = if coarse { UDK_RANGE_STEP_M } else { UT2004_RANGE_STEP_M };
         let phantom = coarse.then(|| phantom_range(ranges_m, self.max_range_m, step_rad)).flatten();
         let meant = |&range: &f64| match phantom {

@@ -14,4 +14,4 @@ mod rounding;
 pub use grid::PointGrid;
 pub use image::{ImageRow, RangeImage};
 pub use line::{LaserLine, Return};
-pub use rounding::Rounding;
+pub use rounding::{Rounding, are_whole_steps, range_step_m};

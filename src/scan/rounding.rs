@@ -10,6 +10,34 @@ const BESIDE: f64 = 0.02;
 /// Marks a cell without a reading.
 const NONE: u32 = u32::MAX;
 
+/// The coarsest grid that ranges lie on, in metres, whatever its zero; `None` where they lie on none, or
+/// are too few to tell.
+pub fn range_step_m(ranges_m: &[f64]) -> Option<f64> {
+    step_of(|| ranges_m.iter().copied()).map(|(step_m, _)| step_m)
+}
+
+/// Whether all ranges lie on the grid of `step_m` through zero.
+pub fn are_whole_steps(ranges_m: &[f64], step_m: f64) -> bool {
+    ranges_m.iter().copied().filter(is_reading).all(|range_m| is_on_grid(range_m, step_m))
+}
+
+fn is_reading(range_m: &f64) -> bool {
+    range_m.is_finite() && *range_m > 0.0
+}
+
+fn is_on_grid(from_zero_m: f64, step_m: f64) -> bool {
+    let steps = from_zero_m / step_m;
+    (steps - steps.round()).abs() < BESIDE
+}
+
+/// The coarsest grid, and a reading on it.
+fn step_of<I: Iterator<Item = f64>>(ranges_m: impl Fn() -> I) -> Option<(f64, f64)> {
+    let readings = || ranges_m().filter(is_reading);
+    let first = readings().nth(FEWEST - 1)?;
+    let is_grid = |step_m: f64| readings().all(|range_m| is_on_grid(range_m - first, step_m));
+    STEPS_M.into_iter().find(|&step_m| is_grid(step_m)).map(|step_m| (step_m, first))
+}
+
 /// The grid that the ranges of a scan lie on, and the place of each cell's range on it.
 ///
 /// Neighbours with the same place err alike: that part of their error does not average out.
@@ -23,24 +51,15 @@ impl Rounding {
     /// The coarsest grid that all finite ranges lie on, in metres, whatever its zero; `None` where they
     /// lie on none.
     pub(super) fn of_ranges(ranges_m: &[f32]) -> Option<Self> {
-        let is_reading = |range_m: &f32| range_m.is_finite() && *range_m > 0.0;
-        let readings = || ranges_m.iter().filter(|range_m| is_reading(range_m));
-        let first = f64::from(*readings().nth(FEWEST - 1)?);
-        let steps_from_first = |range_m: f32, step_m: f64| (f64::from(range_m) - first) / step_m;
-        let is_grid = |step_m: f64| {
-            readings().all(|&range_m| {
-                let steps = steps_from_first(range_m, step_m);
-                (steps - steps.round()).abs() < BESIDE
-            })
-        };
-        let step_m = STEPS_M.into_iter().find(|&step_m| is_grid(step_m))?;
+        let (step_m, first) = step_of(|| ranges_m.iter().copied().map(f64::from))?;
         // Steps may be counted from any place below the nearest.
         let lowest = (first / step_m).ceil();
-        let place = |range_m: &f32| match is_reading(range_m) {
-            true => (steps_from_first(*range_m, step_m).round() + lowest) as u32,
+        let place = |range_m: f64| match is_reading(&range_m) {
+            true => (((range_m - first) / step_m).round() + lowest) as u32,
             false => NONE,
         };
-        Some(Self { step_m, places: ranges_m.iter().map(place).collect() })
+        let places = ranges_m.iter().copied().map(f64::from).map(place).collect();
+        Some(Self { step_m, places })
     }
 
     /// Standard deviation of what a reading is off by, in metres: all within a step are as likely.
@@ -95,6 +114,18 @@ mod tests {
                 assert_eq!(found.are_alike(i, i + 1), (pair[0] - pair[1]).abs() < 1e-6);
             }
         }
+    }
+
+    #[test]
+    fn the_steps_of_a_line_are_told_before_and_after_half_a_step_is_added() {
+        let printed: Vec<f64> = walls(|range_m| (100.0 * range_m).floor() / 100.0)
+            .into_iter()
+            .map(|range_m| (100.0 * f64::from(range_m)).round() / 100.0)
+            .collect();
+        let meant: Vec<f64> = printed.iter().map(|range_m| range_m + 0.005).collect();
+        assert_eq!((range_step_m(&printed), range_step_m(&meant)), (Some(0.01), Some(0.01)));
+        assert!(are_whole_steps(&printed, 0.01) && !are_whole_steps(&meant, 0.01));
+        assert_eq!(range_step_m(&meant[..20]), None);
     }
 
     #[test]

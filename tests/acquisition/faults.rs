@@ -166,6 +166,57 @@ fn a_tilt_without_readings_that_sticks_before_its_law_is_found_files_no_false_ro
 }
 
 #[test]
+fn limits_narrower_than_told_before_the_law_is_found_leave_the_rows_within() {
+    for (dialect, scenario) in STATIONS {
+        for (at_s, limit_rad) in [(3.0, 0.1), (20.0, 0.2)] {
+            let limit = fault(FaultKind::TiltLimits, at_s, Some(limit_rad));
+            let (_, scans) = without_readings_of(dialect, scenario, limit, 2);
+            let filed = scans[1].filed;
+            assert!(filed >= 10, "{scenario} {limit_rad}: {filed}: {:?}", scans[1].remarks);
+        }
+    }
+}
+
+#[test]
+fn a_tilt_without_readings_that_sticks_for_a_while_loses_the_rows_of_that_while() {
+    for (dialect, scenario) in STATIONS {
+        for (at_s, for_s) in [(40.0, 4.0), (55.0, 4.0), (55.0, 8.0), (60.0, 8.0), (55.0, 15.0)] {
+            let stuck = FaultSpec { for_s: Some(for_s), ..fault(FaultKind::TiltStuck, at_s, None) };
+            let (bench, scans) = without_readings_of(dialect, scenario, stuck, 1);
+            let what = format!("{scenario}, {for_s} s from {at_s} s: {:?}", scans[0].remarks);
+            assert!(!scans[0].complete && scans[0].filed >= 60, "{} {what}", scans[0].filed);
+            assert!(tells(&scans[0], "rows are left out"), "{what}");
+            assert!(!bench.acquisition.is_stuck(), "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_clean_slow_sweep_without_readings_loses_no_row() {
+    for (dialect, scenario) in STATIONS {
+        let setting = Setting { scenario, ..Setting::new(dialect, false) };
+        let mut bench = Bench::new(&setting, AcquisitionConfig::default());
+        bench.calibrate();
+        for _ in 0..2 {
+            let scan = bench.take(SweepRequest::continuous());
+            // Seventy, but for where the first line falls.
+            assert!(scan.complete && scan.filed >= 69, "{scenario}: {}", scan.filed);
+            assert!(!tells(&scan, "left out"), "{scenario}: {:?}", scan.remarks);
+        }
+    }
+}
+
+#[test]
+fn a_limit_met_two_degrees_before_the_end_leaves_out_the_rows_beyond() {
+    for (dialect, scenario) in STATIONS {
+        let limit = fault(FaultKind::TiltLimits, 60.0, Some(0.4));
+        let (_, scans) = without_readings_of(dialect, scenario, limit, 1);
+        assert!(!scans[0].complete && scans[0].filed >= 190, "{scenario}: {}", scans[0].filed);
+        assert!(tells(&scans[0], "rows are left out"), "{scenario}: {:?}", scans[0].remarks);
+    }
+}
+
+#[test]
 fn limits_met_on_the_way_to_the_first_row_leave_out_the_rows_beyond() {
     for (dialect, scenario) in STATIONS {
         for limit_rad in [0.25, 0.35] {

@@ -6,6 +6,7 @@ use crate::acquisition::servo::{HINGE_GAP_RAD, ServoLaw};
 use crate::acquisition::stillness::{Expected, StillWatch, Unmoved};
 use crate::robot::{Demand, HeadPose};
 use crate::time::{Span, Stamp};
+use nalgebra::{Isometry3, Vector3};
 
 /// What stamps of lines and commands may be off by before they are calibrated: a burst and more.
 const TIMES_UNSURE: Span = Span::from_millis(350);
@@ -20,6 +21,12 @@ const LONGEST_JUMP_RAD: f64 = std::f64::consts::FRAC_PI_2;
 
 /// How long an end of the tilt's reach is believed when it is found for the first time.
 const BELIEVED: Span = Span::from_millis(180_000);
+
+/// The tilt at which a laser on this body looks level, in radians: its nose up is made up for by a tilt
+/// down.
+fn looks_level_rad(frame_from_robot: &Isometry3<f64>) -> f64 {
+    (frame_from_robot.rotation * Vector3::x()).z.clamp(-1.0, 1.0).asin()
+}
 
 impl HeadControl {
     /// Where the tilt should be by its law alone, or by having been told long ago; `None` where its
@@ -41,9 +48,17 @@ impl HeadControl {
         let tilt_rad = self.unread_tilt_rad(cast)?;
         let sensor_z = self.head.robot_from_device(HeadPose::default()).translation.z;
         let before = self.still.newest();
+        let unsure = self.times_unsure();
+        let law_rad = |at: Stamp| self.unread_tilt_rad(at).unwrap_or(tilt_rad);
+        let around = [cast - unsure, cast + unsure].map(law_rad);
         Some(Expected {
             tilt_rad,
-            unsure: self.times_unsure(),
+            unsure,
+            span_rad: around
+                .into_iter()
+                .fold((tilt_rad, tilt_rad), |(least, most), rad| (least.min(rad), most.max(rad))),
+            before_rad: before.map(|before| law_rad(before + unsure)),
+            level_rad: self.body.at(cast).map_or(0.0, |body| looks_level_rad(&body)),
             height_m: self.origin_height_m.map(|origin_m| origin_m + sensor_z),
             stood: before.is_none_or(|before| self.body.stood(before, cast)),
         })
@@ -89,7 +104,13 @@ impl HeadControl {
 
     /// Whether a line cast at `cast` is not believed: the laser saw no turn then, or soon after.
     pub(in crate::acquisition) fn doubts(&self, cast: Stamp) -> bool {
-        self.still.doubts(cast, self.slowing())
+        // Nearer than this, in radians, the tilt has caught up: half a row.
+        const CAUGHT_UP_RAD: f64 = 0.002;
+        let catches_up = |behind_rad: f64| {
+            let law_s = self.tilt.law().map_or(0.0, |law| law.settle_s(behind_rad, CAUGHT_UP_RAD));
+            Span::from_seconds(law_s) + self.times_unsure()
+        };
+        self.still.doubts(cast, self.slowing(), catches_up)
     }
 
     /// Until then it is unsure where the tilt is, an end of its reach having been found by the laser.

@@ -59,11 +59,12 @@ impl Flow {
     }
 
     /// Whether something may still come that tells where the tilt was: readings later than the last line,
-    /// what was overtaken by others, a message that is in time again.
+    /// what was overtaken by others, a message that is in time again, a line that shows whether it turned.
     pub(super) fn awaits_messages(&self, control: &HeadControl) -> bool {
         let reads = control.tilt.last_reading().is_some();
         control.disorder().grew_since(&self.disorder_before)
             || control.sure_until().is_some()
+            || control.still().is_undecided()
             || (!reads && control.trips().awaits())
             || (reads && !self.is_dated(control))
     }

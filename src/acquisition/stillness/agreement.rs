@@ -1,6 +1,6 @@
 //! What two lines say of one another: whether they show the same, and how they change with the tilt.
 
-use crate::scan::{LaserLine, Return};
+use crate::scan::{LaserLine, Return, range_step_m};
 use crate::time::Stamp;
 use serde::{Deserialize, Serialize};
 
@@ -15,6 +15,18 @@ const NEAREST_M: f64 = 0.4;
 const NOISE: f64 = 0.003;
 /// Share of the beams that may differ by more: edges, and what moves.
 const ODD_SHARE: f64 = 0.15;
+/// The logarithms of ranges of one surface differ by less than this from one row to the next but one.
+const SAME_SURFACE: f64 = 0.2;
+/// So far the tilt turned, in radians, where a beam tells of it: two rows, and more for one that slowed
+/// down before it stopped.
+const TELLING_TURNS_RAD: [f64; 3] = [0.008, 0.016, 0.03];
+const FEWEST_TELLING: usize = 12;
+/// Beams that change and are no change yet: something that passes by, far away.
+pub(super) const FEW: usize = 1;
+/// What is hit beyond this share of the laser's range comes and goes with the noise.
+const AT_THE_END: f64 = 0.995;
+/// What comes into sight beyond this share of the laser's range comes from beyond it.
+const AFAR: f64 = 0.9;
 /// Fewest beams that tell anything.
 pub(super) const FEWEST: usize = 3;
 /// The mean over `n` beams is this much of a beam's own tolerance over `√n`: 3.5 deviations.
@@ -27,6 +39,16 @@ pub(super) struct Seen {
     pub cast: Stamp,
     /// By the servo law.
     pub tilt_rad: f64,
+    /// Least and greatest tilt by the law as far as its times are unsure.
+    pub span_rad: (f64, f64),
+}
+
+impl Seen {
+    /// Takes in where else the law may have had the tilt.
+    pub fn widen(&mut self, tilt_rad: f64) {
+        let (least, most) = self.span_rad;
+        self.span_rad = (least.min(tilt_rad), most.max(tilt_rad));
+    }
 }
 
 /// The slope `d ln r / dθ` of the ranges, and the tilt of the perpendicular that makes it.
@@ -71,7 +93,7 @@ pub(super) fn agreement(a: &LaserLine, b: &LaserLine) -> Agreement {
                 if far < NEAREST_M {
                     continue;
                 }
-                let (log, tolerance) = ((second / first).ln(), NOISE + 1.1 * quantum_m / first);
+                let (log, tolerance) = ((second / first).ln(), tolerance(quantum_m, first));
                 around.compare(log, tolerance);
                 if is_ahead(near) {
                     ahead.compare(log, tolerance);
@@ -92,6 +114,108 @@ pub(super) fn agreement(a: &LaserLine, b: &LaserLine) -> Agreement {
     match around.is_odd() || (ahead.odd > 0 && ahead.even == 0) {
         true => Agreement::Different,
         false => Agreement::Blind { hits: around.even },
+    }
+}
+
+/// The beams that show how far the tilt turned just before `seen`: their ranges changed one way, and no more
+/// than those of one surface do. None where they are few. Lines are given newest last.
+pub(super) fn telling<'a>(
+    before: impl DoubleEndedIterator<Item = &'a Seen> + Clone,
+    seen: &Seen,
+) -> Vec<usize> {
+    let over = |turn_rad: f64| -> Option<Vec<usize>> {
+        let turned = |earlier: &&Seen| (seen.tilt_rad - earlier.tilt_rad).abs() >= turn_rad;
+        let earlier = before.clone().rev().find(turned)?;
+        let middle = before.clone().rev().take_while(|earlier| !turned(earlier)).last()?;
+        let beams = 0..seen.line.len();
+        Some(beams.filter(|&beam| tells(beam, earlier, middle, seen)).collect())
+    };
+    let enough = |beams: &Vec<usize>| beams.len() >= FEWEST_TELLING;
+    TELLING_TURNS_RAD.into_iter().filter_map(over).find(enough).unwrap_or_default()
+}
+
+fn tells(beam: usize, earlier: &Seen, middle: &Seen, seen: &Seen) -> bool {
+    let lines = [&earlier.line, &middle.line, &seen.line];
+    if lines.iter().any(|line| line.len() != seen.line.len())
+        || seen.line.bearing_rad(beam).abs() > WIDEST_RAD
+    {
+        return false;
+    }
+    let [Return::Hit(first), Return::Hit(second), Return::Hit(last)] =
+        lines.map(|line| line.classify(beam))
+    else {
+        return false;
+    };
+    let tolerance = tolerance(quantum_m(&seen.line), first);
+    let (half, whole) = ((second / first).ln(), (last / first).ln());
+    let between =
+        half * whole.signum() >= -tolerance && (whole - half) * whole.signum() >= -tolerance;
+    first.max(last) >= NEAREST_M && between && (tolerance..SAME_SURFACE).contains(&whole.abs())
+}
+
+/// How two whole lines compare, taken from one place.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Changes {
+    /// Beams that differ by more than the noise, and all that can be compared.
+    pub changed: usize,
+    pub told: usize,
+    /// Beams in one of the lines alone that hit something near the end of the laser's range.
+    afar: usize,
+    /// Sum of what each logarithm may differ by.
+    tolerances: f64,
+}
+
+impl Changes {
+    pub fn between(a: &LaserLine, b: &LaserLine) -> Self {
+        let quantum_m = quantum_m(a).max(quantum_m(b));
+        let mut changes = Self::default();
+        for beam in 0..a.len().min(b.len()) {
+            let (range_m, one_hits, differs) = match (a.classify(beam), b.classify(beam)) {
+                (Return::Hit(first), Return::Hit(second)) => {
+                    let log = (second / first).ln();
+                    (first.max(second), false, log.abs() > tolerance(quantum_m, first))
+                }
+                (Return::Hit(range_m), Return::Nothing)
+                | (Return::Nothing, Return::Hit(range_m)) => {
+                    (range_m, true, range_m < AT_THE_END * a.max_range_m)
+                }
+                _ => continue,
+            };
+            if range_m >= NEAREST_M {
+                changes.told += 1;
+                changes.changed += usize::from(differs);
+                changes.afar += usize::from(one_hits && differs && range_m > AFAR * a.max_range_m);
+                changes.tolerances += tolerance(quantum_m, range_m);
+            }
+        }
+        changes
+    }
+
+    /// Whether the ranges of some beams changed on average, and what that average may be off by.
+    pub fn of_beams(a: &LaserLine, b: &LaserLine, beams: &[usize]) -> (bool, f64) {
+        let quantum_m = quantum_m(a).max(quantum_m(b));
+        let mut tally = Tally::default();
+        for &beam in beams {
+            if let (Return::Hit(first), Return::Hit(second)) = (a.classify(beam), b.classify(beam))
+            {
+                tally.compare((second / first).ln(), tolerance(quantum_m, first));
+            }
+        }
+        match tally.verdict() {
+            Agreement::Same { tolerance } => (false, tolerance),
+            _ => (true, 0.0),
+        }
+    }
+
+    /// Whether what changed came into sight, or went out of it, at the end of the laser's range, as floors
+    /// and roofs do when the tilt turns.
+    pub fn comes_from_afar(&self) -> bool {
+        self.changed > FEW && 2 * self.afar > self.changed
+    }
+
+    /// What the logarithm of a range may differ by in the middle of all beams.
+    pub fn tolerance(&self) -> f64 {
+        self.tolerances / self.told.max(1) as f64
     }
 }
 
@@ -161,20 +285,20 @@ pub(super) fn sees_through_floor(line: &LaserLine, tilt_rad: f64, height_m: f64)
     all >= FEWEST && through as f64 >= MOST * all as f64
 }
 
+/// What the logarithms of two ranges of one place differ by at most.
+fn tolerance(quantum_m: f64, range_m: f64) -> f64 {
+    NOISE + 1.1 * quantum_m / range_m
+}
+
 /// What ranges are cut to: UDK prints centimetres, UT2004 tenths of a millimetre.
 fn quantum_m(line: &LaserLine) -> f64 {
-    let whole = |range_m: &f64| (100.0 * range_m - (100.0 * range_m).round()).abs() < 1e-6;
-    match line.ranges_m.iter().filter(|range| range.is_finite()).all(whole) {
-        true => 0.01,
-        false => 1e-4,
-    }
+    range_step_m(&line.ranges_m).unwrap_or(1e-4)
 }
 
 /// What the change from one line to the next says of the surface in sight; `None` where the tilt was
 /// not told to turn, or too little is seen.
 pub(super) fn facing(a: &Seen, b: &Seen) -> Option<Facing> {
     const LEAST_TURN_RAD: f64 = 0.001;
-    const SAME_SURFACE: f64 = 0.2;
     let turn_rad = b.tilt_rad - a.tilt_rad;
     if turn_rad.abs() < LEAST_TURN_RAD || a.line.len() != b.line.len() {
         return None;

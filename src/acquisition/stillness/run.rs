@@ -1,7 +1,7 @@
 //! A run of lines that show the same, and what it proves about the tilt.
 
-use super::Expected;
 use super::agreement::{Agreement, FEWEST, Facing, Seen, sees_through_floor};
+use super::{Doubt, Expected};
 use crate::time::Stamp;
 use serde::{Deserialize, Serialize};
 
@@ -211,8 +211,8 @@ impl Run {
         (tilts_least(&self.tilts_rad).min(first_rad), tilts_most(&self.tilts_rad).max(first_rad))
     }
 
-    pub fn bounds(&self) -> (Stamp, Stamp) {
-        (self.since, self.last)
+    pub fn doubt(&self) -> Doubt {
+        Doubt { first: self.since, last: self.last, travel_rad: self.travel_rad() }
     }
 }
 
