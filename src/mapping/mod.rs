@@ -19,6 +19,7 @@ pub mod full;
 pub mod graph;
 mod index;
 pub mod innovation;
+mod joint_search;
 mod landmark;
 mod mask;
 pub mod mip;
