@@ -283,26 +283,9 @@ impl Belief {
         // Multiplied out, Joseph's form is P - K (P Hᵀ)ᵀ - (P Hᵀ - K S) Kᵀ; the last term vanishes
         // for the exact gain and is what makes up for the rounding of the computed one.
         let right = cross - gain * s;
-        let p = &mut self.covariance;
-        let size = p.nrows();
-        // Both products column by column, while that is at hand.
-        for (j, column) in p.as_mut_slice().chunks_exact_mut(size).enumerate() {
-            for (left, factors) in [(gain, cross), (&right, gain)] {
-                for (k, left) in left.as_slice().chunks_exact(size).enumerate() {
-                    let factor = factors[(j, k)];
-                    for (entry, left) in column.iter_mut().zip(left) {
-                        *entry -= left * factor;
-                    }
-                }
-            }
-        }
-        for column in 0..size {
-            for row in 0..column {
-                let mean = 0.5 * (p[(row, column)] + p[(column, row)]);
-                p[(row, column)] = mean;
-                p[(column, row)] = mean;
-            }
-        }
+        let products = [(gain.as_slice(), cross.as_slice()), (right.as_slice(), gain.as_slice())];
+        let size = self.covariance.nrows();
+        subtract_products(self.covariance.as_mut_slice(), size, &products);
     }
 
     fn shift(&mut self, error: &DVector<f64>) {
@@ -366,6 +349,32 @@ impl Belief {
         }
         block
     }
+}
+
+/// Takes `left factorsᵀ` of each product off a square matrix of `size` rows, column by column while that
+/// is at hand, and makes what is left symmetric.
+fn subtract_products(matrix: &mut [f64], size: usize, products: &[(&[f64], &[f64])]) {
+    // As wide as the processor's vectors: a search takes in some hundred pairs.
+    pulp::Arch::new().dispatch(|| {
+        for (j, column) in matrix.chunks_exact_mut(size).enumerate() {
+            for (left, factors) in products {
+                for (left, factors) in left.chunks_exact(size).zip(factors.chunks_exact(size)) {
+                    let factor = factors[j];
+                    for (entry, left) in column.iter_mut().zip(left) {
+                        *entry -= left * factor;
+                    }
+                }
+            }
+        }
+        for column in 1..size {
+            let (before, here) = matrix.split_at_mut(column * size);
+            let across = before.iter_mut().skip(column).step_by(size);
+            for (lower, upper) in across.zip(&mut here[..column]) {
+                let mean = 0.5 * (*upper + *lower);
+                (*upper, *lower) = (mean, mean);
+            }
+        }
+    });
 }
 
 #[cfg(test)]

@@ -5,17 +5,12 @@ use std::collections::BTreeMap;
 /// Edge of a mask cell in metres.
 pub const MASK_CELL_M: f64 = 0.1;
 /// Cells along the edge of a tile; a tile is one `u64`.
-const TILE: i32 = 8;
+pub(super) const TILE: i32 = 8;
 /// A cell's edge in fixed point.
 const CELL_BITS: u32 = 24;
 const ONE_CELL: f64 = (1 << CELL_BITS) as f64;
 /// Cells of which a mask is sampled when only nearness is asked.
 const NEAR_SAMPLES: usize = 200;
-/// Neighbouring points farther apart than this have not shown what lies between them: at grazing
-/// incidence a doorway fits there.
-const LONGEST_SPAN_M: f64 = 0.6;
-/// No scanner sees a longer surface.
-const LONGEST_EXTENT_M: f64 = 400.0;
 
 /// Which cells of a plane were hit: a bit per 0.1 m square of its local x-y plane.
 ///
@@ -23,11 +18,11 @@ const LONGEST_EXTENT_M: f64 = 400.0;
 /// that a long wall costs a few hundred bytes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaneMask {
-    tiles: BTreeMap<(i32, i32), u64>,
+    pub(super) tiles: BTreeMap<(i32, i32), u64>,
 }
 
 /// The cell that holds a local coordinate.
-fn cell_of(coordinate_m: f64) -> i32 {
+pub(super) fn cell_of(coordinate_m: f64) -> i32 {
     // `floor` is a call on processors without SSE4, and there is one coordinate after the other.
     let cells = (coordinate_m / MASK_CELL_M).clamp(-1e6, 1e6);
     let towards_zero = cells as i32;
@@ -155,11 +150,37 @@ impl PlaneMask {
     /// The cells at which [`near`](Self::near) looks, those in the middle first: patches that share
     /// anything mostly share that. A large mask is sampled at some hundred cells.
     pub fn samples(&self) -> Vec<Point2<f64>> {
-        let stride = (self.count() / NEAR_SAMPLES).max(1);
-        let mut samples: Vec<Point2<f64>> = self.cells().step_by(stride).collect();
+        let mut samples = self.thinned(NEAR_SAMPLES);
         let half = samples.len() / 2;
         samples.rotate_left(half);
         samples
+    }
+
+    /// Centres of the cells that are set, in the order of [`cells`](Self::cells): every n-th, so that
+    /// they are at least `about` and less than twice as many where there are so many.
+    pub fn thinned(&self, about: usize) -> Vec<Point2<f64>> {
+        let stride = (self.count() / about).max(1);
+        let mut found = Vec::with_capacity(2 * about);
+        let mut skipped = 0;
+        for (&(tile_x, tile_y), &bits) in &self.tiles {
+            let count = bits.count_ones() as usize;
+            if skipped >= count {
+                skipped -= count;
+                continue;
+            }
+            let mut left = bits;
+            while left != 0 {
+                let bit = left.trailing_zeros() as i32;
+                left &= left - 1;
+                if skipped == 0 {
+                    let (x, y) = centre(tile_x * TILE + bit % TILE, tile_y * TILE + bit / TILE);
+                    found.push(Point2::new(x, y));
+                    skipped = stride;
+                }
+                skipped -= 1;
+            }
+        }
+        found
     }
 
     /// Whether any of the `samples` of another mask, carried over by `self_from_other`, lies within
@@ -207,133 +228,6 @@ impl PlaneMask {
     }
 }
 
-/// A mask in the making: plain tiles over a known extent, quicker to fill than the map of tiles.
-#[derive(Clone, Debug)]
-pub(super) struct MaskBuilder {
-    first_tile: (i32, i32),
-    size: (i32, i32),
-    tiles: Vec<u64>,
-}
-
-impl MaskBuilder {
-    /// A builder for points within the extent of `outline`; `None` where that has none or is larger
-    /// than any scanner reaches.
-    pub(super) fn over(outline: &[Point2<f64>]) -> Option<Self> {
-        let first = outline.first()?;
-        let (low, high) =
-            outline.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
-        if (high - low).amax() > LONGEST_EXTENT_M {
-            return None;
-        }
-        let tile = |coordinate: f64| cell_of(coordinate).div_euclid(TILE);
-        // A tile more on each side: points that are no corners may lie a rounding outside.
-        let first_tile = (tile(low.x) - 1, tile(low.y) - 1);
-        let size = (tile(high.x) - first_tile.0 + 2, tile(high.y) - first_tile.1 + 2);
-        Some(Self { first_tile, size, tiles: vec![0; (size.0 * size.1) as usize] })
-    }
-
-    fn set(&mut self, x: i32, y: i32) {
-        let tile_x = x.div_euclid(TILE) - self.first_tile.0;
-        let tile_y = y.div_euclid(TILE) - self.first_tile.1;
-        if (0..self.size.0).contains(&tile_x) && (0..self.size.1).contains(&tile_y) {
-            let bit = y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE);
-            self.tiles[(tile_y * self.size.0 + tile_x) as usize] |= 1 << bit;
-        }
-    }
-
-    fn get(&self, x: i32, y: i32) -> bool {
-        let tile_x = x.div_euclid(TILE) - self.first_tile.0;
-        let tile_y = y.div_euclid(TILE) - self.first_tile.1;
-        if !(0..self.size.0).contains(&tile_x) || !(0..self.size.1).contains(&tile_y) {
-            return false;
-        }
-        let bit = y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE);
-        self.tiles[(tile_y * self.size.0 + tile_x) as usize] >> bit & 1 == 1
-    }
-
-    /// Sets the cell of a point of the plane.
-    pub(super) fn insert(&mut self, spot: &Spot) {
-        self.set(spot.cell.0, spot.cell.1);
-    }
-
-    /// Sets the cells whose centre lies in the quadrilateral of four neighbouring points, whose own
-    /// cells are set already.
-    pub(super) fn insert_quadrilateral(&mut self, corners: &[Spot; 4]) {
-        let [a, b, c, d] = corners;
-        let least = |k: fn(&Spot) -> i32| k(a).min(k(b)).min(k(c)).min(k(d));
-        let most = |k: fn(&Spot) -> i32| k(a).max(k(b)).max(k(c)).max(k(d));
-        let from = (least(|spot| spot.cell.0), least(|spot| spot.cell.1));
-        let to = (most(|spot| spot.cell.0), most(|spot| spot.cell.1));
-        // Corners in one cell or in cells side by side leave nothing between them.
-        if to.0 - from.0 + to.1 - from.1 <= 1 {
-            return;
-        }
-        let [a, b, c, d] = [a.at, b.at, c.at, d.at];
-        let low = a.inf(&b).inf(&c.inf(&d));
-        let high = a.sup(&b).sup(&c.sup(&d));
-        if (high - low).amax() > LONGEST_SPAN_M {
-            return;
-        }
-        let triangles = [Triangle::new(a, b, c), Triangle::new(a, c, d)];
-        for y in from.1..=to.1 {
-            for x in from.0..=to.0 {
-                // Most are set: by their own points, or by the quadrilateral before.
-                if !self.get(x, y) {
-                    let centre = centre(x, y);
-                    if triangles.iter().any(|triangle| triangle.contains(centre)) {
-                        self.set(x, y);
-                    }
-                }
-            }
-        }
-    }
-
-    /// The mask.
-    pub(super) fn finish(self) -> PlaneMask {
-        let mut mask = PlaneMask::default();
-        for (index, &bits) in self.tiles.iter().enumerate().filter(|(_, bits)| **bits != 0) {
-            let (x, y) = (index as i32 % self.size.0, index as i32 / self.size.0);
-            mask.tiles.insert((x + self.first_tile.0, y + self.first_tile.1), bits);
-        }
-        mask
-    }
-}
-
-/// A point of a plane, and the cell that holds it.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Spot {
-    at: Point2<f64>,
-    cell: (i32, i32),
-}
-
-impl Spot {
-    pub(super) fn new(at: Point2<f64>) -> Self {
-        Self { at, cell: (cell_of(at.x), cell_of(at.y)) }
-    }
-}
-
-/// A triangle of either sense of rotation.
-struct Triangle {
-    corners: [Point2<f64>; 3],
-    turn: f64,
-}
-
-impl Triangle {
-    fn new(a: Point2<f64>, b: Point2<f64>, c: Point2<f64>) -> Self {
-        Self { corners: [a, b, c], turn: side(&a, &b, (c.x, c.y)).signum() }
-    }
-
-    fn contains(&self, point: (f64, f64)) -> bool {
-        let [a, b, c] = &self.corners;
-        [(a, b), (b, c), (c, a)].iter().all(|(p, q)| side(p, q, point) * self.turn >= 0.0)
-    }
-}
-
-/// Twice the area of a triangle, positive when it turns left.
-fn side(p: &Point2<f64>, q: &Point2<f64>, (x, y): (f64, f64)) -> f64 {
-    (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x)
-}
-
 /// A square of cells.
 struct Window {
     low: (i32, i32),
@@ -368,16 +262,17 @@ impl Window {
 }
 
 /// Ones from bit `first` up to but not including `end`, which is greater.
-fn ones(first: i32, end: i32) -> u64 {
+pub(super) fn ones(first: i32, end: i32) -> u64 {
     (u64::MAX >> (64 - (end - first))) << first
 }
 
-fn centre(x: i32, y: i32) -> (f64, f64) {
+pub(super) fn centre(x: i32, y: i32) -> (f64, f64) {
     ((f64::from(x) + 0.5) * MASK_CELL_M, (f64::from(y) + 0.5) * MASK_CELL_M)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::mask_builder::{MaskBuilder, Spot};
     use super::*;
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
@@ -412,18 +307,6 @@ mod tests {
         assert!(wall.contains(&Point2::new(-1.0, 1.0)) && wall.contains(&Point2::new(1.0, 1.0)));
         assert!(!wall.contains(&Point2::new(0.0, 1.0)));
         assert!((wall.area_m2() - 2.0 * 2.55 * 2.0).abs() < 0.6);
-    }
-
-    #[test]
-    fn a_builder_takes_points_outside_its_extent_for_nothing() {
-        let mut builder =
-            MaskBuilder::over(&[Point2::new(0.0, 0.0), Point2::new(1.0, 1.0)]).unwrap();
-        for p in [Point2::new(0.55, 0.25), Point2::new(-300.0, 0.0), Point2::new(f64::NAN, 1e9)] {
-            builder.insert(&Spot::new(p));
-        }
-        let mask = builder.finish();
-        assert!(mask.contains(&Point2::new(0.55, 0.25)) && mask.count() <= 2);
-        assert!(MaskBuilder::over(&[Point2::new(0.0, 0.0), Point2::new(1e9, 0.0)]).is_none());
     }
 
     #[test]

@@ -22,6 +22,7 @@ pub mod innovation;
 mod joint_search;
 mod landmark;
 mod mask;
+mod mask_builder;
 pub mod mip;
 mod observation;
 mod odometry;

@@ -1,4 +1,5 @@
-use super::mask::{MaskBuilder, PlaneMask, Spot};
+use super::mask::PlaneMask;
+use super::mask_builder::{MaskBuilder, Spot};
 use super::rounding_errors::RoundingErrors;
 use super::row_errors::RowErrors;
 use crate::geometry::{Plane, polygon_area};

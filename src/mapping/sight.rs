@@ -115,9 +115,8 @@ impl Estimate {
                 .collect();
             let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
             let own = taken.and_then(|plane| walls.iter().find(|wall| wall.plane == Some(plane)));
-            let stride = (observation.mask.count() / SAMPLES_PER_PLANE).max(1);
             let (mut samples, mut doubled) = (0, 0);
-            for cell in observation.mask.cells().step_by(stride) {
+            for cell in observation.mask.thinned(SAMPLES_PER_PLANE) {
                 let point = world_from_plane * Point3::new(cell.x, cell.y, 0.0);
                 // Where the map has what is said to be seen, it is no news that it has another, too.
                 let is_news =
