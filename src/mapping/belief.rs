@@ -354,27 +354,23 @@ impl Belief {
 /// Takes `left factorsᵀ` of each product off a square matrix of `size` rows, column by column while that
 /// is at hand, and makes what is left symmetric.
 fn subtract_products(matrix: &mut [f64], size: usize, products: &[(&[f64], &[f64])]) {
-    // As wide as the processor's vectors: a search takes in some hundred pairs.
-    pulp::Arch::new().dispatch(|| {
-        for (j, column) in matrix.chunks_exact_mut(size).enumerate() {
-            for (left, factors) in products {
-                for (left, factors) in left.chunks_exact(size).zip(factors.chunks_exact(size)) {
-                    let factor = factors[j];
-                    for (entry, left) in column.iter_mut().zip(left) {
-                        *entry -= left * factor;
-                    }
+    for (j, column) in matrix.chunks_exact_mut(size).enumerate() {
+        for (left, factors) in products {
+            for (left, factors) in left.chunks_exact(size).zip(factors.chunks_exact(size)) {
+                let factor = factors[j];
+                for (entry, left) in column.iter_mut().zip(left) {
+                    *entry -= left * factor;
                 }
             }
         }
-        for column in 1..size {
-            let (before, here) = matrix.split_at_mut(column * size);
-            let across = before.iter_mut().skip(column).step_by(size);
-            for (lower, upper) in across.zip(&mut here[..column]) {
-                let mean = 0.5 * (*upper + *lower);
-                (*upper, *lower) = (mean, mean);
-            }
+    }
+    for column in 0..size {
+        for row in 0..column {
+            let (upper, lower) = (column * size + row, row * size + column);
+            let mean = 0.5 * (matrix[upper] + matrix[lower]);
+            (matrix[upper], matrix[lower]) = (mean, mean);
         }
-    });
+    }
 }
 
 #[cfg(test)]

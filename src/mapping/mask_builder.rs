@@ -59,7 +59,9 @@ impl MaskBuilder {
     /// Sets the cells whose centre lies in the quadrilateral of four neighbouring points, whose own
     /// cells are set already.
     pub(super) fn insert_quadrilateral(&mut self, corners: &[Spot; 4]) {
-        let [(ax, ay), (bx, by), (cx, cy), (dx, dy)] = corners.map(|spot| spot.cell);
+        let [a, b, c, d] = corners;
+        let ((ax, ay), (bx, by)) = (a.cell, b.cell);
+        let ((cx, cy), (dx, dy)) = (c.cell, d.cell);
         let from = (ax.min(bx).min(cx.min(dx)), ay.min(by).min(cy.min(dy)));
         let to = (ax.max(bx).max(cx.max(dx)), ay.max(by).max(cy.max(dy)));
         // Corners in one cell or in cells side by side leave nothing between them, and those too far
@@ -127,21 +129,26 @@ impl Spot {
 }
 
 /// The area of four neighbouring points; none where they lie too far apart.
-struct Quadrilateral(Option<[Triangle; 2]>);
+struct Quadrilateral {
+    low: Point2<f64>,
+    high: Point2<f64>,
+    near: bool,
+    triangles: [Triangle; 2],
+}
 
 impl Quadrilateral {
-    fn new(corners: &[Spot; 4]) -> Self {
-        let [a, b, c, d] = corners.map(|spot| spot.at);
-        let low = a.inf(&b).inf(&c.inf(&d));
-        let high = a.sup(&b).sup(&c.sup(&d));
-        let near = (high - low).amax() <= LONGEST_SPAN_M;
-        Self(near.then(|| [Triangle::new(a, b, c), Triangle::new(a, c, d)]))
+    fn new([a, b, c, d]: &[Spot; 4]) -> Self {
+        let low = a.at.inf(&b.at).inf(&c.at.inf(&d.at));
+        let high = a.at.sup(&b.at).sup(&c.at.sup(&d.at));
+        let near = high.x - low.x <= LONGEST_SPAN_M && high.y - low.y <= LONGEST_SPAN_M;
+        let triangles = [Triangle::new(a.at, b.at, c.at), Triangle::new(a.at, c.at, d.at)];
+        Self { low, high, near, triangles }
     }
 
-    fn contains(&self, point: (f64, f64)) -> bool {
-        self.0
-            .as_ref()
-            .is_some_and(|triangles| triangles.iter().any(|triangle| triangle.contains(point)))
+    fn contains(&self, (x, y): (f64, f64)) -> bool {
+        self.near
+            && (self.low.x <= x && x <= self.high.x && self.low.y <= y && y <= self.high.y)
+            && (self.triangles[0].contains((x, y)) || self.triangles[1].contains((x, y)))
     }
 }
 
@@ -158,7 +165,8 @@ impl Triangle {
 
     fn contains(&self, point: (f64, f64)) -> bool {
         let [a, b, c] = &self.corners;
-        [(a, b), (b, c), (c, a)].iter().all(|(p, q)| side(p, q, point) * self.turn >= 0.0)
+        let inside = |p, q| side(p, q, point) * self.turn >= 0.0;
+        inside(a, b) && inside(b, c) && inside(c, a)
     }
 }
 

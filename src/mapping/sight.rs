@@ -382,19 +382,18 @@ mod tests {
         let wall = Wall::facing(&floor, Some(0), Isometry3::identity(), &eye, &position);
         let wall = wall.expect("the eye is above");
         let over = Isometry3::translation(0.5, 0.5, 0.05);
-        let refuted = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64, tight: bool| {
+        let verdict = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64| {
             let sigmas = Vector3::new(sigma_m, sigma_rad, sigma_rad);
             let gap = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
-            Against::new(&wall, &over, false, |_| gap).refutes(&point, tight)
+            Against::new(&wall, &over, false, |_| gap).verdict(&point)
         };
         let point = Point3::new(1.0, -1.0, 0.05);
-        assert!(refuted(point, 0.002, 0.001, true));
         // What the ray's length leaves open is more.
-        assert!(!refuted(point, 0.002, 0.001, false));
+        assert_eq!(verdict(point, 0.002, 0.001), Refutation::Tight);
         // Open by as much, or by as much as the tilt does at that place.
-        assert!(!refuted(point, 0.02, 0.001, true));
-        assert!(!refuted(point, 0.002, 0.02, true));
+        assert_eq!(verdict(point, 0.02, 0.001), Refutation::None);
+        assert_eq!(verdict(point, 0.002, 0.02), Refutation::None);
         // Over no cell that was hit.
-        assert!(!refuted(Point3::new(4.0, 0.0, 0.05), 0.002, 0.001, true));
+        assert_eq!(verdict(Point3::new(4.0, 0.0, 0.05), 0.002, 0.001), Refutation::None);
     }
 }
