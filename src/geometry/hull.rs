@@ -76,30 +76,29 @@ pub fn polygon_centroid(polygon: &[Point2<f64>]) -> Option<Point2<f64>> {
     (twice_area.abs() > 0.0).then(|| first + moment / (3.0 * twice_area))
 }
 
+/// The edges of a polygon in order, the closing one last.
+fn edges(polygon: &[Point2<f64>]) -> impl Iterator<Item = (&Point2<f64>, &Point2<f64>)> {
+    polygon.iter().zip(polygon.iter().skip(1).chain(polygon.first()))
+}
+
 /// Whether `point` lies inside or on the border of a counter-clockwise convex polygon.
 pub fn contains_point(polygon: &[Point2<f64>], point: &Point2<f64>) -> bool {
-    polygon.len() >= 3
-        && (0..polygon.len()).all(|i| {
-            let next = (i + 1) % polygon.len();
-            cross(&polygon[i], &polygon[next], point) >= 0.0
-        })
+    polygon.len() >= 3 && edges(polygon).all(|(a, b)| cross(a, b, point) >= 0.0)
 }
 
 /// The intersection of two counter-clockwise convex polygons (Sutherland-Hodgman); empty when they
 /// do not overlap.
 pub fn clip_convex(subject: &[Point2<f64>], clip: &[Point2<f64>]) -> Vec<Point2<f64>> {
     let mut polygon = subject.to_vec();
-    for i in 0..clip.len() {
+    for (a, b) in edges(clip) {
         if polygon.is_empty() {
             break;
         }
-        let (a, b) = (clip[i], clip[(i + 1) % clip.len()]);
         let mut kept = Vec::with_capacity(polygon.len() + 1);
-        for j in 0..polygon.len() {
-            let (p, q) = (polygon[j], polygon[(j + 1) % polygon.len()]);
-            let (side_p, side_q) = (cross(&a, &b, &p), cross(&a, &b, &q));
+        for (p, q) in edges(&polygon) {
+            let (side_p, side_q) = (cross(a, b, p), cross(a, b, q));
             if side_p >= 0.0 {
-                kept.push(p);
+                kept.push(*p);
             }
             if (side_p > 0.0 && side_q < 0.0) || (side_p < 0.0 && side_q > 0.0) {
                 kept.push(p + (q - p) * (side_p / (side_p - side_q)));
@@ -124,9 +123,7 @@ pub fn convex_gap_m(a: &[Point2<f64>], b: &[Point2<f64>]) -> f64 {
     }
     let one_way = |from: &[Point2<f64>], to: &[Point2<f64>]| {
         from.iter()
-            .flat_map(|p| {
-                (0..to.len()).map(move |i| point_segment_m(p, &to[i], &to[(i + 1) % to.len()]))
-            })
+            .flat_map(|p| edges(to).map(move |(a, b)| point_segment_m(p, a, b)))
             .fold(f64::INFINITY, f64::min)
     };
     one_way(a, b).min(one_way(b, a))

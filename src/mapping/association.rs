@@ -1,16 +1,13 @@
 //! Which observation is which landmark: joint compatibility by branch and bound.
 //!
-//! The most telling observations are decided together: a set of pairs is compatible when each fits after
-//! the others have corrected the pose (Neira and Tardós, "Data association in stochastic mapping using
-//! the joint compatibility test", 2001). The set with most pairs wins; sets of equal size that put the
-//! robot elsewhere are handed back beside it. With the pose so corrected the rest is decided one by
-//! one.
+//! The most telling observations are decided together, see [`joint_search`](super::joint_search). With
+//! the pose so corrected the rest is decided one by one.
 
 use super::belief::{Belief, PairRows};
 use super::landmark::{Landmark, carried_hull, hulls_meet};
 use super::observation::Observation;
 use super::shift::Shift;
-use nalgebra::{Matrix3, Matrix3x4, Vector3};
+use nalgebra::{Matrix3x4, Point2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Settings of data association.
@@ -59,6 +56,8 @@ pub(super) struct Question<'a> {
     pub(super) observations: &'a [Observation],
     pub(super) common: &'a [Option<Matrix3x4<f64>>],
     pub(super) candidates: &'a [Vec<usize>],
+    /// Of each observation's mask the cells that are looked at.
+    pub(super) samples: &'a [Vec<Point2<f64>>],
     /// The landmark behind each plane of the belief.
     pub(super) landmarks: &'a [&'a Landmark],
 }
@@ -68,10 +67,9 @@ pub(super) struct Question<'a> {
 pub(super) struct Assignment {
     /// Observation and plane of the belief.
     pub(super) pairs: Vec<(usize, usize)>,
-    /// Logarithm of how much better the pairs explain the observations than new planes would.
-    pub(super) score: f64,
-    /// The same with no pair's tightness counting for more than [`MOST_PER_PAIR`]: what speaks for
-    /// this place against another. Built worlds repeat and align their surfaces, so that a pair fits
+    /// Logarithm of how much better the pairs explain the observations than new planes would, with no
+    /// pair's tightness counting for more than [`MOST_PER_PAIR`]: what speaks for this place against
+    /// another. Built worlds repeat and align their surfaces, so that a pair fits
     /// to the millimetre by chance far more often than planes strewn at random would. What a pair
     /// misses by counts in full: it is what the motion says against the place.
     pub(super) support: f64,
@@ -85,26 +83,12 @@ pub(super) struct Assignment {
 impl Assignment {
     /// The explanation that nothing was recognised.
     pub(super) fn none(predicted: &Belief) -> Self {
-        Self {
-            pairs: Vec::new(),
-            score: 0.0,
-            support: 0.0,
-            belief: predicted.clone(),
-            pairing: false,
-        }
+        Self { pairs: Vec::new(), support: 0.0, belief: predicted.clone(), pairing: false }
     }
 
     /// How it moves the robot beside the planes that it takes for seen.
     pub(super) fn shift_from(&self, predicted: &Belief) -> Shift {
         Shift::between(predicted, &self.belief, self.pairs.iter().map(|pair| pair.1))
-    }
-
-    /// Whether it puts the robot well away from where another does, beside the planes that either takes
-    /// for seen.
-    fn apart_from(&self, other: &Self) -> bool {
-        let planes = self.pairs.iter().chain(&other.pairs).map(|pair| pair.1);
-        let shift = Shift::between(&self.belief, &other.belief, planes);
-        shift.exceeds(APART_M, APART_UP_M, APART_RAD)
     }
 }
 
@@ -127,34 +111,29 @@ pub(super) enum Verdict {
 const SETTLED_M: f64 = 0.002;
 const SETTLED_RAD: f64 = 0.0005;
 /// Two assignments differ when they put the robot this far apart.
-const APART_M: f64 = 0.10;
-const APART_RAD: f64 = 0.03;
-/// The same for the height: a kerb is this much higher than the floor beside it.
-const APART_UP_M: f64 = 0.03;
+pub(super) const APART_M: f64 = 0.10;
 /// Most that the tightness of one pair may say for a place. The misfit that a true pair has on average
 /// takes 3/2 of it; the rest says that a pair fits by chance once in twenty.
 const MOST_PER_PAIR: f64 = 4.5;
 /// Logarithm of how much more often a surface in the midst of a map is one of it than one of its own.
 const LOG_RECOGNISED: f64 = 2.0;
-/// Most assignments that are handed back.
-const MOST_ASSIGNMENTS: usize = 4;
 /// Difference of the distances of two landmarks below which neither is preferred.
 const CLOSE_CALL: f64 = 2.0;
 
 impl Question<'_> {
-    fn rows(&self, belief: &Belief, observation: usize, plane: usize) -> PairRows {
+    pub(super) fn rows(&self, belief: &Belief, observation: usize, plane: usize) -> PairRows {
         let common = self.common[observation].as_ref();
         belief.pair(&self.observations[observation], common, plane)
     }
 
-    fn absorb(&self, belief: &mut Belief, observation: usize, plane: usize) {
+    pub(super) fn absorb(&self, belief: &mut Belief, observation: usize, plane: usize) {
         let common = self.common[observation].as_ref();
         belief.absorb(&self.observations[observation], common, plane);
     }
 
     /// Whether a pair is worth a test: same side, a gap and an angle that the pose's uncertainty
     /// explains, and patches that meet in the plane.
-    fn comparable(
+    pub(super) fn comparable(
         &self,
         belief: &Belief,
         rows: &PairRows,
@@ -184,93 +163,16 @@ impl Question<'_> {
         let plane_from_observed =
             belief.planes[plane].inverse() * belief.world_from_robot * seen.robot_from_plane;
         let carried = carried_hull(&seen.hull, &plane_from_observed);
-        let pose = belief.pose_covariance();
         let reach = seen.robot_from_plane.translation.vector.norm();
-        let turn = (pose[(3, 3)] + pose[(4, 4)] + pose[(5, 5)]).max(0.0).sqrt();
-        let shift = (pose[(0, 0)] + pose[(1, 1)] + pose[(2, 2)]).max(0.0).sqrt();
+        let (shift, turn) = belief.pose_spread();
+        let (shift, turn) = (shift.max(0.0).sqrt(), turn.max(0.0).sqrt());
         let gap = config.max_gap_m + 2.0 * (shift + reach * turn);
         if !hulls_meet(&map.hull, &carried, config.min_overlap_share, gap) {
             return false;
         }
         map.mask.is_empty()
             || seen.mask.is_empty()
-            || map.mask.near(&seen.mask, &plane_from_observed, gap)
-    }
-
-    /// The jointly compatible sets of pairs among the most telling observations that put the robot apart,
-    /// best first; at least one, which may be empty. Sets that have up to `slack` pairs fewer than the
-    /// largest count too: a place may owe its additional pairs to chance.
-    pub(super) fn search(
-        &self,
-        belief: &Belief,
-        config: &AssociationConfig,
-        slack: usize,
-    ) -> Vec<Assignment> {
-        let mut anchors: Vec<(usize, Vec<usize>)> = Vec::new();
-        for (observation, planes) in self.candidates.iter().enumerate() {
-            let fitting: Vec<usize> = planes
-                .iter()
-                .copied()
-                .filter(|&plane| {
-                    let rows = self.rows(belief, observation, plane);
-                    rows.distance_squared() < config.gate
-                        && self.comparable(belief, &rows, observation, plane, config)
-                })
-                .collect();
-            if !fitting.is_empty() {
-                anchors.push((observation, fitting));
-            }
-        }
-        let chosen = most_telling(self.observations, &anchors, config.anchors);
-        anchors.retain(|(observation, _)| chosen.contains(observation));
-        // First those with fewest choices.
-        anchors.sort_by_key(|(_, fitting)| fitting.len());
-        // Every step copies the belief: only the planes in question go along.
-        let mut planes: Vec<usize> =
-            anchors.iter().flat_map(|anchor| anchor.1.iter().copied()).collect();
-        planes.sort_unstable();
-        planes.dedup();
-        for plane in anchors.iter_mut().flat_map(|anchor| &mut anchor.1) {
-            *plane = planes.partition_point(|known| known < plane);
-        }
-        let landmarks: Vec<&Landmark> = planes.iter().map(|&plane| self.landmarks[plane]).collect();
-        let question = Question { candidates: &[], landmarks: &landmarks, ..*self };
-        let mut search = Search {
-            question: &question,
-            anchors: &anchors,
-            config,
-            slack,
-            trials: 0,
-            most: 0,
-            found: Vec::new(),
-        };
-        let start = Assignment { pairing: true, ..Assignment::none(&belief.among(&planes)) };
-        search.descend(0, start);
-        let mut found = search.found;
-        // Not `search.most`: the set with most pairs may have lost its place to a likelier one.
-        let most = found.iter().map(|assignment| assignment.pairs.len()).max().unwrap_or(0);
-        found.retain(|assignment| assignment.pairs.len() + slack >= most);
-        found.sort_by(|a, b| b.score.total_cmp(&a.score));
-        found.truncate(MOST_ASSIGNMENTS);
-        for assignment in &mut found {
-            for pair in &mut assignment.pairs {
-                pair.1 = planes[pair.1];
-            }
-            assignment.belief = self.after(belief, &assignment.pairs);
-        }
-        found
-    }
-
-    /// The belief after pairs, taken in one by one until the pose is settled.
-    fn after(&self, belief: &Belief, pairs: &[(usize, usize)]) -> Belief {
-        let mut after = belief.clone();
-        for &(observation, plane) in pairs {
-            if settled(&after) {
-                break;
-            }
-            self.absorb(&mut after, observation, plane);
-        }
-        after
+            || map.mask.near(&self.samples[observation], &plane_from_observed, gap)
     }
 
     /// Decides every observation, given the belief after the joint search. Several observations may
@@ -379,7 +281,7 @@ impl Question<'_> {
 
     /// Whether two planes of the belief are pieces of one surface as far as a scan can tell, so that
     /// it does not matter much which of them is seen.
-    fn same_surface(&self, belief: &Belief, a: usize, b: usize) -> bool {
+    pub(super) fn same_surface(&self, belief: &Belief, a: usize, b: usize) -> bool {
         let (first, second) = (&belief.planes[a], &belief.planes[b]);
         let relative = first.inverse() * second;
         let angle = (relative.rotation * Vector3::z()).angle(&Vector3::z());
@@ -387,110 +289,13 @@ impl Question<'_> {
     }
 }
 
-/// Area beside which others facing the same way add little, in m².
-const TELLING_M2: f64 = 1.0;
-
-/// The observations that together say most about where the robot is: large ones, and small ones that
-/// face where no large one does. Along a corridor a pilaster says more than a third piece of its walls.
-fn most_telling(
-    observations: &[Observation],
-    among: &[(usize, Vec<usize>)],
-    count: usize,
-) -> Vec<usize> {
-    let mut left: Vec<usize> = among.iter().map(|anchor| anchor.0).collect();
-    let mut chosen = Vec::new();
-    let mut known = Matrix3::identity() * TELLING_M2;
-    while chosen.len() < count {
-        let Some(spread) = known.try_inverse() else { break };
-        let gain = |observation: usize| {
-            let normal = observations[observation].normal();
-            observations[observation].area_m2() * normal.dot(&(spread * normal))
-        };
-        // The first of equals.
-        let best = (0..left.len()).rev().max_by(|&a, &b| gain(left[a]).total_cmp(&gain(left[b])));
-        let Some(best) = best else { break };
-        let observation = left.remove(best);
-        let normal = observations[observation].normal();
-        known += normal * normal.transpose() * observations[observation].area_m2();
-        chosen.push(observation);
-    }
-    chosen
-}
-
-struct Search<'a> {
-    question: &'a Question<'a>,
-    anchors: &'a [(usize, Vec<usize>)],
-    config: &'a AssociationConfig,
-    slack: usize,
-    trials: usize,
-    /// Pairs of the largest set so far.
-    most: usize,
-    /// The best set of each place.
-    found: Vec<Assignment>,
-}
-
-impl Search<'_> {
-    fn descend(&mut self, depth: usize, so_far: Assignment) {
-        let reachable = so_far.pairs.len() + self.anchors.len() - depth;
-        // The first descent always ends: only alternatives to it are given up.
-        let given_up = self.trials > self.config.max_trials && !self.found.is_empty();
-        if reachable + self.slack < self.most || given_up {
-            return;
-        }
-        let Some((observation, planes)) = self.anchors.get(depth) else {
-            self.file(so_far);
-            return;
-        };
-        let mut fitting: Vec<(f64, usize, PairRows)> = Vec::new();
-        for &plane in planes {
-            if so_far.pairs.iter().any(|pair| pair.1 == plane) {
-                continue;
-            }
-            self.trials += 1;
-            let rows = self.question.rows(&so_far.belief, *observation, plane);
-            let distance = rows.distance_squared();
-            if distance < self.config.gate
-                && self.question.comparable(&so_far.belief, &rows, *observation, plane, self.config)
-            {
-                fitting.push((distance, plane, rows));
-            }
-        }
-        fitting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        for (i, (distance, plane, rows)) in fitting.iter().enumerate() {
-            // Pieces of one surface put the robot in one place: trying one of them is enough.
-            let belief = &so_far.belief;
-            if fitting[..i].iter().any(|known| self.question.same_surface(belief, known.1, *plane))
-            {
-                continue;
-            }
-            let (distance, plane) = (*distance, *plane);
-            let mut next = so_far.clone();
-            next.pairs.push((*observation, plane));
-            let log_determinant = rows.log_determinant();
-            next.score += log_ratio(distance, log_determinant, self.config);
-            next.support += tempered_ratio(distance, rows.s[(0, 0)], self.config);
-            if !settled(&next.belief) {
-                self.question.absorb(&mut next.belief, *observation, plane);
-            }
-            self.descend(depth + 1, next);
-        }
-        self.descend(depth + 1, so_far);
-    }
-
-    /// Keeps a set when it is the best of its place.
-    fn file(&mut self, set: Assignment) {
-        self.most = self.most.max(set.pairs.len());
-        match self.found.iter_mut().find(|known| !known.apart_from(&set)) {
-            Some(known) if known.score >= set.score => {}
-            Some(known) => *known = set,
-            None => self.found.push(set),
-        }
-    }
-}
-
 /// How much better a landmark explains an observation than a plane that was never seen, which might
 /// lie anywhere within the limits of a comparison.
-fn log_ratio(distance_squared: f64, log_determinant: f64, config: &AssociationConfig) -> f64 {
+pub(super) fn log_ratio(
+    distance_squared: f64,
+    log_determinant: f64,
+    config: &AssociationConfig,
+) -> f64 {
     let window = 2.0 * config.max_offset_m * (2.0 * config.max_angle_rad).powi(2);
     let normaliser = 3.0 * std::f64::consts::TAU.ln() + log_determinant;
     window.ln() - 0.5 * (distance_squared + normaliser)
@@ -501,16 +306,19 @@ fn log_ratio(distance_squared: f64, log_determinant: f64, config: &AssociationCo
 /// pair is `variance_m2`. Its tightness is limited and its misfit counts in full. Limiting the whole
 /// would make explanations equal that differ by what odometry has to be wrong by: a robot beside a stair
 /// could be a step higher, with the floor for the first tread.
-fn tempered_ratio(distance_squared: f64, variance_m2: f64, config: &AssociationConfig) -> f64 {
+pub(super) fn tempered_ratio(
+    distance_squared: f64,
+    variance_m2: f64,
+    config: &AssociationConfig,
+) -> f64 {
     let window_m = 2.0 * config.max_offset_m;
     let tightness = (window_m / (std::f64::consts::TAU * variance_m2).sqrt()).ln();
     (LOG_RECOGNISED + tightness).min(MOST_PER_PAIR) - 0.5 * distance_squared
 }
 
-fn settled(belief: &Belief) -> bool {
-    let p = belief.pose_covariance();
-    (0..3).all(|i| p[(i, i)] < SETTLED_M * SETTLED_M)
-        && (3..6).all(|i| p[(i, i)] < SETTLED_RAD * SETTLED_RAD)
+pub(super) fn settled(belief: &Belief) -> bool {
+    (0..3).all(|i| belief.pose_variance(i) < SETTLED_M * SETTLED_M)
+        && (3..6).all(|i| belief.pose_variance(i) < SETTLED_RAD * SETTLED_RAD)
 }
 
 #[cfg(test)]

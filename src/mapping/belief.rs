@@ -31,6 +31,13 @@ pub(super) struct Belief {
     covariance: DMatrix<f64>,
 }
 
+/// Where a pair is linearised.
+struct Linearisation {
+    world_from_robot: Isometry3<f64>,
+    errors: Option<Vector4<f64>>,
+    world_from_plane: Isometry3<f64>,
+}
+
 /// The rows of one pair at the present belief.
 pub(super) struct PairRows {
     /// Innovation.
@@ -104,6 +111,17 @@ impl Belief {
         POSE + if self.errors.is_some() { ERRORS } else { 0 }
     }
 
+    /// Traces of the pose's covariance: of its translation in m², of its rotation in rad².
+    pub(super) fn pose_spread(&self) -> (f64, f64) {
+        let p = &self.covariance;
+        (p[(0, 0)] + p[(1, 1)] + p[(2, 2)], p[(3, 3)] + p[(4, 4)] + p[(5, 5)])
+    }
+
+    /// Variance of one component of the pose.
+    pub(super) fn pose_variance(&self, component: usize) -> f64 {
+        self.covariance[(component, component)]
+    }
+
     /// Covariance of the pose.
     pub(super) fn pose_covariance(&self) -> Matrix6<f64> {
         self.covariance.fixed_view::<POSE, POSE>(0, 0).into_owned()
@@ -122,14 +140,25 @@ impl Belief {
         common: Option<&Matrix3x4<f64>>,
         plane: usize,
     ) -> PairRows {
-        let observed = match (common, &self.errors) {
+        self.pair_at(&self.moved(plane, None), observation, common, plane)
+    }
+
+    /// The same linearised elsewhere than at the mean.
+    fn pair_at(
+        &self,
+        at: &Linearisation,
+        observation: &Observation,
+        common: Option<&Matrix3x4<f64>>,
+        plane: usize,
+    ) -> PairRows {
+        let observed = match (common, &at.errors) {
             (Some(jacobian), Some(errors)) => {
                 perturbed_plane(&observation.robot_from_plane, &-(jacobian * errors))
             }
             _ => observation.robot_from_plane,
         };
         let Innovation { h, h_x, h_z, h_f } =
-            Innovation::new(&self.planes[plane], &self.world_from_robot, &observed);
+            Innovation::new(&at.world_from_plane, &at.world_from_robot, &observed);
         let h_errors = common.filter(|_| self.errors.is_some()).map(|jacobian| -(h_z * jacobian));
         let noise = h_z * observation.covariance * h_z.transpose();
         let at = self.first_plane() + 3 * plane;
@@ -162,11 +191,11 @@ impl Belief {
         common: Option<&Matrix3x4<f64>>,
         plane: usize,
     ) {
-        let mut at = self.clone();
+        let mut at = self.moved(plane, None);
         let mut step: DVector<f64> = DVector::zeros(self.covariance.nrows());
         for _ in 0..MOST_LINEARISATIONS {
             // The covariance is that of before; only the point of linearisation moves.
-            let rows = at.pair(observation, common, plane);
+            let rows = self.pair_at(&at, observation, common, plane);
             let Some(s) = rows.s.cholesky() else { return };
             let cross = self.covariance_times_rows(&rows, plane);
             let gain: MatrixXxR<3> = s.solve(&cross.transpose()).transpose();
@@ -179,8 +208,7 @@ impl Belief {
                 self.joseph(&gain, &cross, &rows.s);
                 break;
             }
-            at.move_from(self, &step);
-            at.covariance.copy_from(&self.covariance);
+            at = self.moved(plane, Some(&step));
         }
         self.shift(&step);
     }
@@ -208,12 +236,24 @@ impl Belief {
         product
     }
 
-    /// Puts the means at those of `other` moved by `error`.
-    fn move_from(&mut self, other: &Self, error: &DVector<f64>) {
-        self.world_from_robot = other.world_from_robot;
-        self.errors = other.errors;
-        self.planes.copy_from_slice(&other.planes);
-        self.shift(error);
+    /// The means that a pair with a plane depends on, moved by `error`.
+    fn moved(&self, plane: usize, error: Option<&DVector<f64>>) -> Linearisation {
+        let mut at = Linearisation {
+            world_from_robot: self.world_from_robot,
+            errors: self.errors,
+            world_from_plane: self.planes[plane],
+        };
+        if let Some(error) = error {
+            let pose: Vector6<f64> = error.fixed_view::<POSE, 1>(0, 0).into_owned();
+            at.world_from_robot = perturbed_pose(&self.world_from_robot, &pose);
+            if let Some(errors) = &mut at.errors {
+                *errors += error.fixed_view::<ERRORS, 1>(POSE, 0);
+            }
+            let row = self.first_plane() + 3 * plane;
+            let part: Vector3<f64> = error.fixed_view::<3, 1>(row, 0).into_owned();
+            at.world_from_plane = perturbed_plane(&self.planes[plane], &part);
+        }
+        at
     }
 
     /// Takes a measured attitude in.
@@ -243,16 +283,9 @@ impl Belief {
         // Multiplied out, Joseph's form is P - K (P Hᵀ)ᵀ - (P Hᵀ - K S) Kᵀ; the last term vanishes
         // for the exact gain and is what makes up for the rounding of the computed one.
         let right = cross - gain * s;
-        let p = &mut self.covariance;
-        p.gemm(-1.0, gain, &cross.transpose(), 1.0);
-        p.gemm(-1.0, &right, &gain.transpose(), 1.0);
-        for column in 0..p.ncols() {
-            for row in 0..column {
-                let mean = 0.5 * (p[(row, column)] + p[(column, row)]);
-                p[(row, column)] = mean;
-                p[(column, row)] = mean;
-            }
-        }
+        let products = [(gain.as_slice(), cross.as_slice()), (right.as_slice(), gain.as_slice())];
+        let size = self.covariance.nrows();
+        subtract_products(self.covariance.as_mut_slice(), size, &products);
     }
 
     fn shift(&mut self, error: &DVector<f64>) {
@@ -315,6 +348,28 @@ impl Belief {
             block += carried.fixed_view::<3, ERRORS>(0, POSE) * h_e.transpose();
         }
         block
+    }
+}
+
+/// Takes `left factorsᵀ` of each product off a square matrix of `size` rows, column by column while that
+/// is at hand, and makes what is left symmetric.
+fn subtract_products(matrix: &mut [f64], size: usize, products: &[(&[f64], &[f64])]) {
+    for (j, column) in matrix.chunks_exact_mut(size).enumerate() {
+        for (left, factors) in products {
+            for (left, factors) in left.chunks_exact(size).zip(factors.chunks_exact(size)) {
+                let factor = factors[j];
+                for (entry, left) in column.iter_mut().zip(left) {
+                    *entry -= left * factor;
+                }
+            }
+        }
+    }
+    for column in 0..size {
+        for row in 0..column {
+            let (upper, lower) = (column * size + row, row * size + column);
+            let mean = 0.5 * (matrix[upper] + matrix[lower]);
+            (matrix[upper], matrix[lower]) = (mean, mean);
+        }
     }
 }
 

@@ -131,10 +131,13 @@ pub fn hulls_meet(hull: &[Point2<f64>], carried: &[Point2<f64>], share: f64, gap
         return false;
     }
     // Carried hulls keep their sense of rotation as long as both normals agree, which the test of
-    // facing has settled before.
-    let smaller = polygon_area(hull).min(polygon_area(carried));
-    let overlap = polygon_area(&clip_convex(carried, hull));
-    overlap > share * smaller || convex_gap_m(hull, carried) <= gap_m
+    // facing has settled before. The gap goes first: hulls that overlap mostly hold a corner of one
+    // another, which is seen without cutting either.
+    let overlaps = || {
+        let smaller = polygon_area(hull).min(polygon_area(carried));
+        polygon_area(&clip_convex(carried, hull)) > share * smaller
+    };
+    convex_gap_m(hull, carried) <= gap_m || overlaps()
 }
 
 /// Lowest and highest coordinates of a polygon.

@@ -5,17 +5,12 @@ use std::collections::BTreeMap;
 /// Edge of a mask cell in metres.
 pub const MASK_CELL_M: f64 = 0.1;
 /// Cells along the edge of a tile; a tile is one `u64`.
-const TILE: i32 = 8;
+pub(super) const TILE: i32 = 8;
 /// A cell's edge in fixed point.
 const CELL_BITS: u32 = 24;
 const ONE_CELL: f64 = (1 << CELL_BITS) as f64;
 /// Cells of which a mask is sampled when only nearness is asked.
 const NEAR_SAMPLES: usize = 200;
-/// Neighbouring points farther apart than this have not shown what lies between them: at grazing
-/// incidence a doorway fits there.
-const LONGEST_SPAN_M: f64 = 0.6;
-/// No scanner sees a longer surface.
-const LONGEST_EXTENT_M: f64 = 400.0;
 
 /// Which cells of a plane were hit: a bit per 0.1 m square of its local x-y plane.
 ///
@@ -23,12 +18,15 @@ const LONGEST_EXTENT_M: f64 = 400.0;
 /// that a long wall costs a few hundred bytes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlaneMask {
-    tiles: BTreeMap<(i32, i32), u64>,
+    pub(super) tiles: BTreeMap<(i32, i32), u64>,
 }
 
 /// The cell that holds a local coordinate.
-fn cell_of(coordinate_m: f64) -> i32 {
-    (coordinate_m / MASK_CELL_M).floor().clamp(-1e6, 1e6) as i32
+pub(super) fn cell_of(coordinate_m: f64) -> i32 {
+    // `floor` is a call on processors without SSE4, and there is one coordinate after the other.
+    let cells = (coordinate_m / MASK_CELL_M).clamp(-1e6, 1e6);
+    let towards_zero = cells as i32;
+    towards_zero - i32::from(f64::from(towards_zero) > cells)
 }
 
 impl PlaneMask {
@@ -78,8 +76,10 @@ impl PlaneMask {
 
     /// Whether the cell of a point and all within `reach` cells of it in each axis are set.
     pub fn solid_about(&self, point: &Point2<f64>, reach: i32) -> bool {
-        let (x, y) = (cell_of(point.x), cell_of(point.y));
-        (-reach..=reach).all(|dy| (-reach..=reach).all(|dx| self.get(x + dx, y + dy)))
+        let window = Window::about(cell_of(point.x), cell_of(point.y), reach);
+        window
+            .tiles()
+            .all(|(tile, wanted)| self.tiles.get(&tile).is_some_and(|bits| bits & wanted == wanted))
     }
 
     /// Centres of the cells that are set, by tile, then row by row.
@@ -113,6 +113,17 @@ impl PlaneMask {
             let low = |at: i64, by_u: i64, by_v: i64| at + side * (by_u.min(0) + by_v.min(0));
             let first_x = (low(x, x_by_u, x_by_v) >> CELL_BITS).div_euclid(i64::from(TILE));
             let first_y = (low(y, y_by_u, y_by_v) >> CELL_BITS).div_euclid(i64::from(TILE));
+            let high = |at: i64, by_u: i64, by_v: i64| at + side * (by_u.max(0) + by_v.max(0));
+            let last_x = (high(x, x_by_u, x_by_v) >> CELL_BITS).div_euclid(i64::from(TILE));
+            let last_y = (high(y, y_by_u, y_by_v) >> CELL_BITS).div_euclid(i64::from(TILE));
+            // Where all that it can reach is set, as within a surface that was seen before, it is no news.
+            let mut reached = (first_y..=last_y)
+                .flat_map(|tile_y| (first_x..=last_x).map(move |tile_x| (tile_x, tile_y)));
+            if reached.all(|(tile_x, tile_y)| {
+                self.tiles.get(&(tile_x as i32, tile_y as i32)) == Some(&u64::MAX)
+            }) {
+                continue;
+            }
             // A turned tile spreads over three tiles at most in each axis.
             let mut spread = [[0_u64; 3]; 3];
             let mut left = bits;
@@ -136,12 +147,52 @@ impl PlaneMask {
         }
     }
 
-    /// Whether any cell of `other`, carried over by `self_from_other`, lies within `reach_m` (in each
-    /// axis) of a cell that is set here. A large `other` is sampled at some hundred cells.
-    pub fn near(&self, other: &Self, self_from_other: &Isometry3<f64>, reach_m: f64) -> bool {
+    /// The cells at which [`near`](Self::near) looks, those in the middle first: patches that share
+    /// anything mostly share that. A large mask is sampled at some hundred cells.
+    pub fn samples(&self) -> Vec<Point2<f64>> {
+        let mut samples = self.thinned(NEAR_SAMPLES);
+        let half = samples.len() / 2;
+        samples.rotate_left(half);
+        samples
+    }
+
+    /// Centres of the cells that are set, in the order of [`cells`](Self::cells): every n-th, so that
+    /// they are at least `about` and less than twice as many where there are so many.
+    pub fn thinned(&self, about: usize) -> Vec<Point2<f64>> {
+        let stride = (self.count() / about).max(1);
+        let mut found = Vec::with_capacity(2 * about);
+        let mut skipped = 0;
+        for (&(tile_x, tile_y), &bits) in &self.tiles {
+            let count = bits.count_ones() as usize;
+            if skipped >= count {
+                skipped -= count;
+                continue;
+            }
+            let mut left = bits;
+            while left != 0 {
+                let bit = left.trailing_zeros() as i32;
+                left &= left - 1;
+                if skipped == 0 {
+                    let (x, y) = centre(tile_x * TILE + bit % TILE, tile_y * TILE + bit / TILE);
+                    found.push(Point2::new(x, y));
+                    skipped = stride;
+                }
+                skipped -= 1;
+            }
+        }
+        found
+    }
+
+    /// Whether any of the `samples` of another mask, carried over by `self_from_other`, lies within
+    /// `reach_m` (in each axis) of a cell that is set here.
+    pub fn near(
+        &self,
+        samples: &[Point2<f64>],
+        self_from_other: &Isometry3<f64>,
+        reach_m: f64,
+    ) -> bool {
         let reach = (reach_m / MASK_CELL_M).ceil() as i32;
-        let stride = (other.count() / NEAR_SAMPLES).max(1);
-        other.cells().step_by(stride).any(|cell| {
+        samples.iter().any(|cell| {
             let p = self_from_other * Point3::new(cell.x, cell.y, 0.0);
             self.any_within(cell_of(p.x), cell_of(p.y), reach)
         })
@@ -149,15 +200,8 @@ impl PlaneMask {
 
     /// Whether a cell within `reach` cells of `(x, y)` in each axis is set.
     fn any_within(&self, x: i32, y: i32, reach: i32) -> bool {
-        let (low_x, high_x, low_y, high_y) = (x - reach, x + reach, y - reach, y + reach);
-        (low_y.div_euclid(TILE)..=high_y.div_euclid(TILE)).any(|tile_y| {
-            let rows = bits_between(low_y - tile_y * TILE, high_y - tile_y * TILE);
-            (low_x.div_euclid(TILE)..=high_x.div_euclid(TILE)).any(|tile_x| {
-                let Some(bits) = self.tiles.get(&(tile_x, tile_y)) else { return false };
-                let columns = bits_between(low_x - tile_x * TILE, high_x - tile_x * TILE);
-                (0..TILE).any(|row| rows >> row & 1 == 1 && bits >> (row * TILE) & columns != 0)
-            })
-        })
+        let found = |(tile, wanted)| self.tiles.get(&tile).is_some_and(|bits| bits & wanted != 0);
+        Window::about(x, y, reach).tiles().any(found)
     }
 
     /// The outline of the set cells as straight pieces between cell corners, for drawing.
@@ -184,104 +228,51 @@ impl PlaneMask {
     }
 }
 
-/// A mask in the making: plain tiles over a known extent, quicker to fill than the map of tiles.
-#[derive(Clone, Debug)]
-pub(super) struct MaskBuilder {
-    first_tile: (i32, i32),
-    size: (i32, i32),
-    tiles: Vec<u64>,
+/// A square of cells.
+struct Window {
+    low: (i32, i32),
+    high: (i32, i32),
 }
 
-impl MaskBuilder {
-    /// A builder for points within the extent of `outline`; `None` where that has none or is larger
-    /// than any scanner reaches.
-    pub(super) fn over(outline: &[Point2<f64>]) -> Option<Self> {
-        let first = outline.first()?;
-        let (low, high) =
-            outline.iter().fold((*first, *first), |(low, high), p| (low.inf(p), high.sup(p)));
-        if (high - low).amax() > LONGEST_EXTENT_M {
-            return None;
-        }
-        let tile = |coordinate: f64| cell_of(coordinate).div_euclid(TILE);
-        // A tile more on each side: points that are no corners may lie a rounding outside.
-        let first_tile = (tile(low.x) - 1, tile(low.y) - 1);
-        let size = (tile(high.x) - first_tile.0 + 2, tile(high.y) - first_tile.1 + 2);
-        Some(Self { first_tile, size, tiles: vec![0; (size.0 * size.1) as usize] })
+impl Window {
+    /// All cells within `reach` of one in each axis.
+    fn about(x: i32, y: i32, reach: i32) -> Self {
+        Self { low: (x - reach, y - reach), high: (x + reach, y + reach) }
     }
 
-    fn set(&mut self, x: i32, y: i32) {
-        let tile_x = x.div_euclid(TILE) - self.first_tile.0;
-        let tile_y = y.div_euclid(TILE) - self.first_tile.1;
-        if (0..self.size.0).contains(&tile_x) && (0..self.size.1).contains(&tile_y) {
-            let bit = y.rem_euclid(TILE) * TILE + x.rem_euclid(TILE);
-            self.tiles[(tile_y * self.size.0 + tile_x) as usize] |= 1 << bit;
-        }
-    }
-
-    /// Sets the cell of a point of the plane.
-    pub(super) fn insert(&mut self, point: &Point2<f64>) {
-        self.set(cell_of(point.x), cell_of(point.y));
-    }
-
-    /// Sets the cells whose centre lies in the quadrilateral of four neighbouring points, whose own
-    /// cells are set already.
-    pub(super) fn insert_quadrilateral(&mut self, corners: &[Point2<f64>; 4]) {
-        let [a, b, c, d] = corners;
-        let low = a.inf(b).inf(&c.inf(d));
-        let high = a.sup(b).sup(&c.sup(d));
-        let (from, to) = ((cell_of(low.x), cell_of(low.y)), (cell_of(high.x), cell_of(high.y)));
-        // Corners in one cell or in cells side by side leave nothing between them.
-        if to.0 - from.0 + to.1 - from.1 <= 1 {
-            return;
-        }
-        if (high - low).amax() > LONGEST_SPAN_M {
-            return;
-        }
-        for corners in [[a, b, c], [a, c, d]] {
-            self.insert_triangle(&corners, from, to);
-        }
-    }
-
-    fn insert_triangle(&mut self, [a, b, c]: &[&Point2<f64>; 3], from: (i32, i32), to: (i32, i32)) {
-        let side = |p: &Point2<f64>, q: &Point2<f64>, x: f64, y: f64| {
-            (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x)
+    /// The tiles that it meets, each with the bits that lie within.
+    fn tiles(&self) -> impl Iterator<Item = ((i32, i32), u64)> {
+        /// The first bit of each row.
+        const ROWS: u64 = 0x0101_0101_0101_0101;
+        let (low, high) = (self.low, self.high);
+        let span = |low: i32, high: i32| low.div_euclid(TILE)..=high.div_euclid(TILE);
+        let within = |low: i32, high: i32, tile: i32| {
+            let at = |cell: i32| (cell - tile * TILE).clamp(0, TILE);
+            (at(low), at(high + 1))
         };
-        let turn = side(a, b, c.x, c.y).signum();
-        for y in from.1..=to.1 {
-            for x in from.0..=to.0 {
-                let (px, py) = centre(x, y);
-                let inside =
-                    [(a, b), (b, c), (c, a)].iter().all(|(p, q)| side(p, q, px, py) * turn >= 0.0);
-                if inside {
-                    self.set(x, y);
-                }
-            }
-        }
-    }
-
-    /// The mask.
-    pub(super) fn finish(self) -> PlaneMask {
-        let mut mask = PlaneMask::default();
-        for (index, &bits) in self.tiles.iter().enumerate().filter(|(_, bits)| **bits != 0) {
-            let (x, y) = (index as i32 % self.size.0, index as i32 / self.size.0);
-            mask.tiles.insert((x + self.first_tile.0, y + self.first_tile.1), bits);
-        }
-        mask
+        span(low.1, high.1).flat_map(move |tile_y| {
+            let (first, end) = within(low.1, high.1, tile_y);
+            let rows = ROWS & ones(TILE * first, TILE * end);
+            span(low.0, high.0).map(move |tile_x| {
+                let (first, end) = within(low.0, high.0, tile_x);
+                ((tile_x, tile_y), rows * ones(first, end))
+            })
+        })
     }
 }
 
-/// Ones from `low` to `high`, both cut to one row of a tile.
-fn bits_between(low: i32, high: i32) -> u64 {
-    let (low, high) = (low.clamp(0, TILE), (high + 1).clamp(0, TILE));
-    if low >= high { 0 } else { (1 << high) - (1 << low) }
+/// Ones from bit `first` up to but not including `end`, which is greater.
+pub(super) fn ones(first: i32, end: i32) -> u64 {
+    (u64::MAX >> (64 - (end - first))) << first
 }
 
-fn centre(x: i32, y: i32) -> (f64, f64) {
+pub(super) fn centre(x: i32, y: i32) -> (f64, f64) {
     ((f64::from(x) + 0.5) * MASK_CELL_M, (f64::from(y) + 0.5) * MASK_CELL_M)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::mask_builder::{MaskBuilder, Spot};
     use super::*;
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
@@ -302,7 +293,7 @@ mod tests {
             for (low, high) in pieces(y0, y1) {
                 builder.insert_quadrilateral(
                     &[(left, low), (right, low), (right, high), (left, high)]
-                        .map(|(x, y)| Point2::new(x, y)),
+                        .map(|(x, y)| Spot::new(Point2::new(x, y))),
                 );
             }
         }
@@ -319,23 +310,11 @@ mod tests {
     }
 
     #[test]
-    fn a_builder_takes_points_outside_its_extent_for_nothing() {
-        let mut builder =
-            MaskBuilder::over(&[Point2::new(0.0, 0.0), Point2::new(1.0, 1.0)]).unwrap();
-        for p in [Point2::new(0.55, 0.25), Point2::new(-300.0, 0.0), Point2::new(f64::NAN, 1e9)] {
-            builder.insert(&p);
-        }
-        let mask = builder.finish();
-        assert!(mask.contains(&Point2::new(0.55, 0.25)) && mask.count() <= 2);
-        assert!(MaskBuilder::over(&[Point2::new(0.0, 0.0), Point2::new(1e9, 0.0)]).is_none());
-    }
-
-    #[test]
     fn near_reaches_as_far_as_told() {
         let (a, b) = (rectangle(0.0, 0.0, 1.0, 1.0), rectangle(1.75, 0.0, 2.5, 1.0));
-        assert!(!a.near(&b, &Isometry3::identity(), 0.5));
-        assert!(a.near(&b, &Isometry3::identity(), 0.8));
-        assert!(a.near(&b, &Isometry3::translation(-0.5, 0.0, 0.0), 0.3));
+        assert!(!a.near(&b.samples(), &Isometry3::identity(), 0.5));
+        assert!(a.near(&b.samples(), &Isometry3::identity(), 0.8));
+        assert!(a.near(&b.samples(), &Isometry3::translation(-0.5, 0.0, 0.0), 0.3));
     }
 
     #[test]
@@ -360,7 +339,7 @@ mod tests {
                 b.iter().any(|(u, v)| (x - u).abs() <= reach && (y - v).abs() <= reach)
             });
             let reach_m = f64::from(reach) * MASK_CELL_M - 1e-9;
-            prop_assert_eq!(mask(&a).near(&mask(&b), &Isometry3::identity(), reach_m), expected);
+            prop_assert_eq!(mask(&a).near(&mask(&b).samples(), &Isometry3::identity(), reach_m), expected);
         }
 
         #[test]

@@ -1,4 +1,5 @@
-use super::mask::{MaskBuilder, PlaneMask};
+use super::mask::PlaneMask;
+use super::mask_builder::{MaskBuilder, Spot};
 use super::rounding_errors::RoundingErrors;
 use super::row_errors::RowErrors;
 use crate::geometry::{Plane, polygon_area};
@@ -101,17 +102,19 @@ pub fn observations(
     let (rows, columns) = (segmentation.rows, segmentation.columns);
     // Local coordinates of the row above and of this one; neighbours of one label in both rows and
     // columns span a piece that was seen as a whole.
-    let mut above: Vec<Option<(usize, Point2<f64>)>> = vec![None; columns];
+    let mut above: Vec<Option<(usize, Spot)>> = vec![None; columns];
+    let mut here = above.clone();
     let mut rounding_errors = grid.rounding().map(|known| RoundingErrors::new(known, columns));
     for row in 0..rows {
-        let mut here = vec![None; columns];
+        here.fill(None);
         for column in 0..columns {
             let label = usize::from(segmentation.labels[row * columns + column]);
             let Some(slot) = slots.get(label).copied().flatten() else { continue };
             let Some((_, painter)) = &mut found[slot] else { continue };
             let Some(point) = grid.point(row, column) else { continue };
             let local = painter.place(&point);
-            painter.builder.insert(&local);
+            let spot = Spot::new(local);
+            painter.builder.insert(&spot);
             if rounding_errors.is_some() || !sigmas_rad.is_empty() {
                 let sigma_rad = sigmas_rad.get(row).map_or(0.0, |&sigma_rad| f64::from(sigma_rad));
                 let pull = painter.rows.add(row, sigma_rad, &point, &local);
@@ -119,7 +122,7 @@ pub fn observations(
                     rounding_errors.add((row, column), slot, pull * painter.slope(&point));
                 }
             }
-            here[column] = Some((slot, local));
+            here[column] = Some((slot, spot));
             if column == 0 {
                 continue;
             }
@@ -129,10 +132,10 @@ pub fn observations(
                 && b == slot
                 && c == slot
             {
-                painter.builder.insert_quadrilateral(&[p, q, local, r]);
+                painter.builder.insert_quadrilateral(&[p, q, spot, r]);
             }
         }
-        above = here;
+        std::mem::swap(&mut above, &mut here);
     }
     let of_rounding = rounding_errors.map(|errors| errors.of_right_sides(found.len()));
     let with_errors = |(slot, found): (usize, Option<(Observation, Painter)>)| {

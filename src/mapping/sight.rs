@@ -115,18 +115,17 @@ impl Estimate {
                 .collect();
             let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
             let own = taken.and_then(|plane| walls.iter().find(|wall| wall.plane == Some(plane)));
-            let stride = (observation.mask.count() / SAMPLES_PER_PLANE).max(1);
             let (mut samples, mut doubled) = (0, 0);
-            for cell in observation.mask.cells().step_by(stride) {
+            for cell in observation.mask.thinned(SAMPLES_PER_PLANE) {
                 let point = world_from_plane * Point3::new(cell.x, cell.y, 0.0);
                 // Where the map has what is said to be seen, it is no news that it has another, too.
-                let is_news = !own.is_some_and(|own| own.solid_at(&(own.plane_from_world * point)));
-                let refuted = |tight| against.iter().any(|wall| wall.refutes(&point, tight));
+                let is_news =
+                    || !own.is_some_and(|own| own.solid_at(&(own.plane_from_world * point)));
                 samples += 1;
-                if refuted(false) {
-                    found.refuted += 1;
-                } else if is_news && refuted(true) {
-                    doubled += 1;
+                match against.iter().map(|wall| wall.verdict(&point)).max() {
+                    Some(Refutation::Sure) => found.refuted += 1,
+                    Some(Refutation::Tight) if is_news() => doubled += 1,
+                    _ => {}
                 }
             }
             found.samples += samples;
@@ -136,6 +135,16 @@ impl Estimate {
         }
         found
     }
+}
+
+/// What a landmark says against a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Refutation {
+    None,
+    /// It cannot be there when it is held to a parallel surface as well as the pair is known.
+    Tight,
+    /// It cannot be there whatever is unsure.
+    Sure,
 }
 
 /// A landmark that an observation is held against.
@@ -163,25 +172,29 @@ impl<'a> Against<'a> {
         Self { wall, parallel, denied, centre, gap }
     }
 
-    /// Whether a point of the observation, in the world, cannot be where it is; `tight` holds it to parallel
-    /// surfaces as well as the pair is known.
-    fn refutes(&self, point: &Point3<f64>, tight: bool) -> bool {
+    /// Whether a point of the observation, in the world, cannot be where it is.
+    fn verdict(&self, point: &Point3<f64>) -> Refutation {
         let target = self.wall.plane_from_world * point;
-        let margin_m = if self.denied {
-            0.0
-        } else if tight {
-            self.gap_margin_m(point, &target)
+        // Most points lie well before most surfaces: no margin would change that.
+        if target.z >= DOUBLED_M || (target.z > 0.0 && !self.parallel) {
+            return Refutation::None;
+        }
+        let refutes = |margin_m| self.wall.refutes(&target, self.parallel, margin_m);
+        let ray_m = self.wall.ray_margin_m(&target);
+        if refutes(if self.denied { 0.0 } else { ray_m }) {
+            Refutation::Sure
+        } else if !self.denied
+            && self.gap.is_some_and(|gap| refutes(self.gap_margin_m(&gap, &target, ray_m)))
+        {
+            Refutation::Tight
         } else {
-            self.wall.ray_margin_m(point)
-        };
-        self.wall.refutes(&target, self.parallel, margin_m)
+            Refutation::None
+        }
     }
 
     /// How far a point may lie off the landmark and yet be on it: between parallel surfaces that is known
     /// as well as the pair is.
-    fn gap_margin_m(&self, point: &Point3<f64>, target: &Point3<f64>) -> f64 {
-        let ray_m = self.wall.ray_margin_m(point);
-        let Some(gap) = self.gap else { return ray_m };
+    fn gap_margin_m(&self, gap: &Matrix3<f64>, target: &Point3<f64>, ray_m: f64) -> f64 {
         // A point at (x, y) from the centre moves by δz - θ x + ψ y.
         let row = Vector3::new(1.0, self.centre.x - target.x, target.y - self.centre.y);
         let sigma_m = row.dot(&(gap * row)).max(0.0).sqrt();
@@ -210,7 +223,7 @@ fn footing(
         let Some((height_m, wall)) = nearest else {
             let hidden = walls.iter().any(|wall| {
                 let target = wall.plane_from_world * point;
-                wall.refutes(&target, wall.is_parallel(&up), wall.ray_margin_m(&point))
+                wall.refutes(&target, wall.is_parallel(&up), wall.ray_margin_m(&target))
             });
             return if hidden { OFF_THE_FLOOR.ln() } else { 0.0 };
         };
@@ -276,8 +289,9 @@ impl<'a> Wall<'a> {
         self.solid_at(&(self.eye + ray * (self.eye.z / -ray.z)))
     }
 
-    fn ray_margin_m(&self, point: &Point3<f64>) -> f64 {
-        let range_m = (self.plane_from_world * point - self.eye).norm();
+    /// How far a point in the landmark's frame may lie behind the landmark and yet be on it.
+    fn ray_margin_m(&self, target: &Point3<f64>) -> f64 {
+        let range_m = (target - self.eye).norm();
         (KNOWN_BEHIND_M + SIGMAS * self.sigma_m).min(BEHIND_M) + BEHIND_PER_M * range_m
     }
 
@@ -368,19 +382,18 @@ mod tests {
         let wall = Wall::facing(&floor, Some(0), Isometry3::identity(), &eye, &position);
         let wall = wall.expect("the eye is above");
         let over = Isometry3::translation(0.5, 0.5, 0.05);
-        let refuted = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64, tight: bool| {
+        let verdict = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64| {
             let sigmas = Vector3::new(sigma_m, sigma_rad, sigma_rad);
             let gap = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
-            Against::new(&wall, &over, false, |_| gap).refutes(&point, tight)
+            Against::new(&wall, &over, false, |_| gap).verdict(&point)
         };
         let point = Point3::new(1.0, -1.0, 0.05);
-        assert!(refuted(point, 0.002, 0.001, true));
         // What the ray's length leaves open is more.
-        assert!(!refuted(point, 0.002, 0.001, false));
+        assert_eq!(verdict(point, 0.002, 0.001), Refutation::Tight);
         // Open by as much, or by as much as the tilt does at that place.
-        assert!(!refuted(point, 0.02, 0.001, true));
-        assert!(!refuted(point, 0.002, 0.02, true));
+        assert_eq!(verdict(point, 0.02, 0.001), Refutation::None);
+        assert_eq!(verdict(point, 0.002, 0.02), Refutation::None);
         // Over no cell that was hit.
-        assert!(!refuted(Point3::new(4.0, 0.0, 0.05), 0.002, 0.001, true));
+        assert_eq!(verdict(Point3::new(4.0, 0.0, 0.05), 0.002, 0.001), Refutation::None);
     }
 }

@@ -17,7 +17,7 @@ use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
 use super::perturbation::{first_jacobian, second_jacobian, symmetric};
 use super::scan_errors::ScanObservations;
-use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point2, Point3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -54,6 +54,8 @@ pub(super) struct Prepared {
     /// The landmark behind each plane of the belief, in order.
     planes: Vec<LandmarkId>,
     common: Vec<Option<Matrix3x4<f64>>>,
+    /// Of each observation's mask the cells that are compared with a landmark's.
+    samples: Vec<Vec<Point2<f64>>>,
     motion_covariance: Matrix6<f64>,
 }
 

@@ -53,6 +53,7 @@ impl Prepared {
             observations: &arrival.scan.observations,
             common: &self.common,
             candidates: &self.candidates,
+            samples: &self.samples,
             landmarks,
         }
     }
@@ -90,8 +91,16 @@ impl Estimate {
         }
         let common = common_columns(scan);
         let assignments = Vec::new();
-        let mut prepared =
-            Prepared { belief, assignments, candidates, planes, common, motion_covariance };
+        let samples = scan.observations.iter().map(|seen| seen.mask.samples()).collect();
+        let mut prepared = Prepared {
+            belief,
+            assignments,
+            candidates,
+            planes,
+            common,
+            samples,
+            motion_covariance,
+        };
         self.associate(arrival, config, &mut prepared, 0);
         prepared
     }

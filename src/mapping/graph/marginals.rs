@@ -4,6 +4,47 @@ use super::{Graph, Key};
 use nalgebra::DMatrix;
 use std::collections::BTreeMap;
 
+/// A right-hand side on its way to the root: of the selection's columns those that are not zero in a
+/// clique. Far from the root these are the few of the variables below it.
+struct Side {
+    /// Ascending.
+    columns: Vec<usize>,
+    matrix: DMatrix<f64>,
+}
+
+impl Side {
+    fn new(rows: usize) -> Self {
+        Self { columns: Vec::new(), matrix: DMatrix::zeros(rows, 0) }
+    }
+
+    /// Makes room for columns, given in ascending order; returns their places.
+    fn widen(&mut self, wanted: impl Iterator<Item = usize> + Clone) -> Vec<usize> {
+        let known = |columns: &[usize], column| columns.binary_search(&column).is_ok();
+        if !wanted.clone().all(|column| known(&self.columns, column)) {
+            let before = std::mem::take(&mut self.columns);
+            self.columns = before.iter().copied().chain(wanted.clone()).collect();
+            self.columns.sort_unstable();
+            self.columns.dedup();
+            let mut matrix = DMatrix::zeros(self.matrix.nrows(), self.columns.len());
+            for (from, column) in before.iter().enumerate() {
+                let to = self.columns.partition_point(|other| other < column);
+                matrix.set_column(to, &self.matrix.column(from));
+            }
+            self.matrix = matrix;
+        }
+        wanted.map(|column| self.columns.partition_point(|other| *other < column)).collect()
+    }
+
+    /// Adds `sideᵀ side` to the lower triangle of the whole.
+    fn add_square(&self, whole: &mut DMatrix<f64>) {
+        for (j, &column) in self.columns.iter().enumerate() {
+            for (i, &row) in self.columns.iter().enumerate().skip(j) {
+                whole[(row, column)] += self.matrix.column(i).dot(&self.matrix.column(j));
+            }
+        }
+    }
+}
+
 impl Graph {
     /// Joint covariance of variables, in the order given, each with its own dimension.
     ///
@@ -16,8 +57,7 @@ impl Graph {
         let columns: usize = keys.iter().map(dimension).sum();
         let mut covariance = DMatrix::zeros(columns, columns);
         // Right-hand sides of the cliques still to come, deepest first.
-        let mut waiting: BTreeMap<(std::cmp::Reverse<usize>, usize), DMatrix<f64>> =
-            BTreeMap::new();
+        let mut waiting: BTreeMap<(std::cmp::Reverse<usize>, usize), Side> = BTreeMap::new();
         let mut depths: BTreeMap<usize, usize> = BTreeMap::new();
         let mut first = 0;
         let mut outside = Vec::new();
@@ -26,13 +66,13 @@ impl Graph {
             match self.variables[key.0 as usize].clique {
                 Some(slot) => {
                     let depth = self.cached_depth(slot, &mut depths);
-                    let clique = self.clique(slot);
-                    let (rows, frontal, _) = self.layout(clique);
+                    let (rows, frontal, _) = self.layout(self.clique(slot));
                     let side = waiting
                         .entry((std::cmp::Reverse(depth), slot))
-                        .or_insert_with(|| DMatrix::zeros(frontal, columns));
-                    for i in 0..size {
-                        side[(rows[key] + i, first + i)] += 1.0;
+                        .or_insert_with(|| Side::new(frontal));
+                    let at = side.widen(first..first + size);
+                    for (i, at) in at.into_iter().enumerate() {
+                        side.matrix[(rows[key] + i, at)] += 1.0;
                     }
                 }
                 None => outside.extend(first..first + size),
@@ -42,15 +82,21 @@ impl Graph {
         while let Some(((_, slot), mut side)) = waiting.pop_first() {
             let clique = self.clique(slot);
             let frontal = clique.columns.ncols();
-            let solved = clique.columns.rows(0, frontal).solve_lower_triangular_mut(&mut side);
+            let solved =
+                clique.columns.rows(0, frontal).solve_lower_triangular_mut(&mut side.matrix);
             debug_assert!(solved, "pivots are positive after elimination");
-            covariance.gemm_tr(1.0, &side, &side, 1.0);
+            side.add_square(&mut covariance);
             let rest = clique.columns.nrows() - 1 - frontal;
             if rest == 0 {
                 continue;
             }
-            let below = clique.columns.rows(frontal, rest) * &side;
-            self.pass_up(slot, &below, columns, &mut waiting, &mut depths);
+            let below = clique.columns.rows(frontal, rest) * &side.matrix;
+            self.pass_up(slot, &side.columns, &below, &mut waiting, &mut depths);
+        }
+        for i in 0..columns {
+            for j in 0..i {
+                covariance[(j, i)] = covariance[(i, j)];
+            }
         }
         for index in outside {
             covariance.row_mut(index).fill(f64::NAN);
@@ -63,29 +109,35 @@ impl Graph {
     fn pass_up(
         &self,
         slot: usize,
+        columns: &[usize],
         below: &DMatrix<f64>,
-        columns: usize,
-        waiting: &mut BTreeMap<(std::cmp::Reverse<usize>, usize), DMatrix<f64>>,
+        waiting: &mut BTreeMap<(std::cmp::Reverse<usize>, usize), Side>,
         depths: &mut BTreeMap<usize, usize>,
     ) {
         let mut at = 0;
-        let mut layouts = BTreeMap::new();
+        // Where the separators lie and the columns in the side of the clique that eliminates them.
+        let mut homes = BTreeMap::new();
         for key in &self.clique(slot).separators {
             let size = self.variables[key.0 as usize].dimension();
             let home = self.variables[key.0 as usize]
                 .clique
                 .expect("separators are eliminated nearer to the root");
-            let (rows, frontal) = layouts.entry(home).or_insert_with(|| {
-                let (rows, frontal, _) = self.layout(self.clique(home));
-                (rows, frontal)
-            });
             let depth = self.cached_depth(home, depths);
-            let side = waiting
-                .entry((std::cmp::Reverse(depth), home))
-                .or_insert_with(|| DMatrix::zeros(*frontal, columns));
+            let (rows, places) = homes.entry(home).or_insert_with(|| {
+                let (rows, frontal, _) = self.layout(self.clique(home));
+                let side = waiting
+                    .entry((std::cmp::Reverse(depth), home))
+                    .or_insert_with(|| Side::new(frontal));
+                (rows, side.widen(columns.iter().copied()))
+            });
+            let side = waiting.get_mut(&(std::cmp::Reverse(depth), home));
+            let side = side.expect("a home was given a side");
             let start = rows[key];
-            let mut target = side.rows_mut(start, size);
-            target -= below.rows(at, size);
+            for (from, to) in places.iter().enumerate() {
+                let mut target = side.matrix.column_mut(*to);
+                let mut target = target.rows_mut(start, size);
+                target -= below.column(from).rows(at, size);
+            }
             at += size;
         }
     }

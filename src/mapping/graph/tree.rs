@@ -114,7 +114,13 @@ impl Graph {
         // nearer to the root.
         let mut factors = BTreeSet::new();
         for key in &keys {
-            for id in &self.variables[key.0 as usize].factors {
+            // Every measurement has a pose or a scan's errors among its variables; a floor's own list
+            // would name all places from which it was ever seen.
+            let variable = &self.variables[key.0 as usize];
+            if !matches!(variable.at, Value::Pose(_) | Value::Errors(_)) {
+                continue;
+            }
+            for id in &variable.factors {
                 let held = self.factors[id.0 as usize].as_ref().expect("listed factors exist");
                 if held.factor.keys().iter().all(|other| local.contains_key(other)) {
                     factors.insert(*id);
@@ -279,10 +285,14 @@ impl Graph {
         }
         let weak = factorise_leading(&mut front, frontal, UNKNOWN);
         let rest = size - frontal;
-        let remainder = front.view((frontal, frontal), (rest + 1, rest)).into_owned();
+        // By whole columns: an owned view is copied entry by entry.
+        let mut remainder = Vec::with_capacity((rest + 1) * rest);
+        for column in front.as_slice().chunks_exact(size + 1).skip(frontal) {
+            remainder.extend_from_slice(&column[frontal..]);
+        }
         let clique = self.clique_mut(slot);
-        clique.columns = front.columns(0, frontal).into_owned();
-        clique.remainder = remainder;
+        clique.remainder = DMatrix::from_vec(rest + 1, rest, remainder);
+        clique.columns = front.resize_horizontally(frontal, 0.0);
         weak
     }
 

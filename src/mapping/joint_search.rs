@@ -1,0 +1,273 @@
+//! Joint compatibility by branch and bound.
+//!
+//! A set of pairs is compatible when each fits after the others have corrected the pose (Neira and
+//! Tardós, "Data association in stochastic mapping using the joint compatibility test", 2001). The set
+//! with most pairs wins; sets of equal size that put the robot elsewhere are handed back beside it.
+//!
+//! Once the pose is settled further pairs leave the belief alone, so that all branches below share it:
+//! what was asked of a belief is kept with it, and asked once.
+
+use super::association::{
+    APART_M, Assignment, AssociationConfig, Question, log_ratio, settled, tempered_ratio,
+};
+use super::belief::Belief;
+use super::landmark::Landmark;
+use super::observation::Observation;
+use super::shift::Shift;
+use nalgebra::Matrix3;
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// Beside [`APART_M`]: two assignments differ when they turn the robot this far apart.
+const APART_RAD: f64 = 0.03;
+/// The same for the height: a kerb is this much higher than the floor beside it.
+const APART_UP_M: f64 = 0.03;
+/// Most assignments that are handed back.
+const MOST_ASSIGNMENTS: usize = 4;
+/// Area beside which others facing the same way add little, in m².
+const TELLING_M2: f64 = 1.0;
+
+impl Question<'_> {
+    /// The jointly compatible sets of pairs among the most telling observations that put the robot apart,
+    /// best first; at least one, which may be empty. Sets that have up to `slack` pairs fewer than the
+    /// largest count too: a place may owe its additional pairs to chance.
+    pub(super) fn search(
+        &self,
+        belief: &Belief,
+        config: &AssociationConfig,
+        slack: usize,
+    ) -> Vec<Assignment> {
+        let mut anchors: Vec<(usize, Vec<usize>)> = Vec::new();
+        for (observation, planes) in self.candidates.iter().enumerate() {
+            let fitting: Vec<usize> = planes
+                .iter()
+                .copied()
+                .filter(|&plane| {
+                    let rows = self.rows(belief, observation, plane);
+                    rows.distance_squared() < config.gate
+                        && self.comparable(belief, &rows, observation, plane, config)
+                })
+                .collect();
+            if !fitting.is_empty() {
+                anchors.push((observation, fitting));
+            }
+        }
+        let chosen = most_telling(self.observations, &anchors, config.anchors);
+        anchors.retain(|(observation, _)| chosen.contains(observation));
+        // First those with fewest choices.
+        anchors.sort_by_key(|(_, fitting)| fitting.len());
+        // Every step copies the belief: only the planes in question go along.
+        let mut planes: Vec<usize> =
+            anchors.iter().flat_map(|anchor| anchor.1.iter().copied()).collect();
+        planes.sort_unstable();
+        planes.dedup();
+        for plane in anchors.iter_mut().flat_map(|anchor| &mut anchor.1) {
+            *plane = planes.partition_point(|known| known < plane);
+        }
+        let landmarks: Vec<&Landmark> = planes.iter().map(|&plane| self.landmarks[plane]).collect();
+        let question = Question { candidates: &[], landmarks: &landmarks, ..*self };
+        let mut search = Search {
+            question: &question,
+            anchors: &anchors,
+            config,
+            slack,
+            trials: 0,
+            most: 0,
+            found: Vec::new(),
+        };
+        search.descend(0, Set::none(Node::new(belief.among(&planes), &anchors)));
+        let mut found = search.found;
+        // Not `search.most`: the set with most pairs may have lost its place to a likelier one.
+        let most = found.iter().map(|set| set.pairs.len()).max().unwrap_or(0);
+        found.retain(|set| set.pairs.len() + slack >= most);
+        found.sort_by(|a, b| b.score.total_cmp(&a.score));
+        found.truncate(MOST_ASSIGNMENTS);
+        found
+            .into_iter()
+            .map(|Set { pairs, support, .. }| {
+                let named = |(observation, plane): (usize, usize)| (observation, planes[plane]);
+                let pairs: Vec<(usize, usize)> = pairs.into_iter().map(named).collect();
+                let belief = self.after(belief, &pairs);
+                Assignment { pairs, support, belief, pairing: true }
+            })
+            .collect()
+    }
+
+    /// The belief after pairs, taken in one by one until the pose is settled.
+    fn after(&self, belief: &Belief, pairs: &[(usize, usize)]) -> Belief {
+        let mut after = belief.clone();
+        for &(observation, plane) in pairs {
+            if settled(&after) {
+                break;
+            }
+            self.absorb(&mut after, observation, plane);
+        }
+        after
+    }
+}
+
+/// The observations that together say most about where the robot is: large ones, and small ones that
+/// face where no large one does. Along a corridor a pilaster says more than a third piece of its walls.
+fn most_telling(
+    observations: &[Observation],
+    among: &[(usize, Vec<usize>)],
+    count: usize,
+) -> Vec<usize> {
+    let mut left: Vec<usize> = among.iter().map(|anchor| anchor.0).collect();
+    let mut chosen = Vec::new();
+    let mut known = Matrix3::identity() * TELLING_M2;
+    while chosen.len() < count {
+        let Some(spread) = known.try_inverse() else { break };
+        let gain = |observation: usize| {
+            let normal = observations[observation].normal();
+            observations[observation].area_m2() * normal.dot(&(spread * normal))
+        };
+        // The first of equals.
+        let best = (0..left.len()).rev().max_by(|&a, &b| gain(left[a]).total_cmp(&gain(left[b])));
+        let Some(best) = best else { break };
+        let observation = left.remove(best);
+        let normal = observations[observation].normal();
+        known += normal * normal.transpose() * observations[observation].area_m2();
+        chosen.push(observation);
+    }
+    chosen
+}
+
+/// How a pair fits: what it adds to a set's score and support beside its squared distance.
+#[derive(Clone, Copy, Debug)]
+struct Fit {
+    distance_squared: f64,
+    score: f64,
+    support: f64,
+}
+
+/// A belief of the search, with what was asked of it.
+struct Node {
+    belief: Belief,
+    settled: bool,
+    /// By anchor and by its planes: whether that pair fits, once it was asked.
+    known: RefCell<Vec<Vec<Option<Option<Fit>>>>>,
+}
+
+impl Node {
+    fn new(belief: Belief, anchors: &[(usize, Vec<usize>)]) -> Rc<Self> {
+        let known = anchors.iter().map(|(_, planes)| vec![None; planes.len()]).collect();
+        Rc::new(Self { settled: settled(&belief), belief, known: RefCell::new(known) })
+    }
+}
+
+/// A jointly compatible set of pairs in the making.
+#[derive(Clone)]
+struct Set {
+    pairs: Vec<(usize, usize)>,
+    /// Logarithm of how much better the pairs explain the observations than new planes would.
+    score: f64,
+    /// See [`Assignment::support`].
+    support: f64,
+    /// The belief after the pairs.
+    node: Rc<Node>,
+}
+
+impl Set {
+    fn none(node: Rc<Node>) -> Self {
+        Self { pairs: Vec::new(), score: 0.0, support: 0.0, node }
+    }
+
+    /// Whether it puts the robot well away from where another does, beside the planes that either takes
+    /// for seen.
+    fn apart_from(&self, other: &Self) -> bool {
+        // One belief has one pose.
+        if Rc::ptr_eq(&self.node, &other.node) {
+            return false;
+        }
+        let planes = self.pairs.iter().chain(&other.pairs).map(|pair| pair.1);
+        let shift = Shift::between(&self.node.belief, &other.node.belief, planes);
+        shift.exceeds(APART_M, APART_UP_M, APART_RAD)
+    }
+}
+
+struct Search<'a> {
+    question: &'a Question<'a>,
+    anchors: &'a [(usize, Vec<usize>)],
+    config: &'a AssociationConfig,
+    slack: usize,
+    trials: usize,
+    /// Pairs of the largest set so far.
+    most: usize,
+    /// The best set of each place.
+    found: Vec<Set>,
+}
+
+impl Search<'_> {
+    fn descend(&mut self, depth: usize, so_far: Set) {
+        let reachable = so_far.pairs.len() + self.anchors.len() - depth;
+        // The first descent always ends: only alternatives to it are given up.
+        let given_up = self.trials > self.config.max_trials && !self.found.is_empty();
+        if reachable + self.slack < self.most || given_up {
+            return;
+        }
+        let Some((observation, planes)) = self.anchors.get(depth) else {
+            self.file(so_far);
+            return;
+        };
+        let mut fitting: Vec<(Fit, usize)> = Vec::new();
+        for (at, &plane) in planes.iter().enumerate() {
+            if so_far.pairs.iter().any(|pair| pair.1 == plane) {
+                continue;
+            }
+            self.trials += 1;
+            let fit = self.fit(&so_far.node, depth, at);
+            fitting.extend(fit.map(|fit| (fit, plane)));
+        }
+        fitting.sort_by(|(a, a_plane), (b, b_plane)| {
+            a.distance_squared.total_cmp(&b.distance_squared).then(a_plane.cmp(b_plane))
+        });
+        for (i, &(fit, plane)) in fitting.iter().enumerate() {
+            // Pieces of one surface put the robot in one place: trying one of them is enough.
+            let belief = &so_far.node.belief;
+            if fitting[..i].iter().any(|known| self.question.same_surface(belief, known.1, plane)) {
+                continue;
+            }
+            let mut next = so_far.clone();
+            next.pairs.push((*observation, plane));
+            next.score += fit.score;
+            next.support += fit.support;
+            if !next.node.settled {
+                let mut belief = belief.clone();
+                self.question.absorb(&mut belief, *observation, plane);
+                next.node = Node::new(belief, self.anchors);
+            }
+            self.descend(depth + 1, next);
+        }
+        self.descend(depth + 1, so_far);
+    }
+
+    /// Whether and how an anchor fits its `at`-th plane under a belief.
+    fn fit(&self, node: &Node, anchor: usize, at: usize) -> Option<Fit> {
+        if let Some(known) = node.known.borrow()[anchor][at] {
+            return known;
+        }
+        let (observation, planes) = &self.anchors[anchor];
+        let rows = self.question.rows(&node.belief, *observation, planes[at]);
+        let distance_squared = rows.distance_squared();
+        let fits = distance_squared < self.config.gate
+            && self.question.comparable(&node.belief, &rows, *observation, planes[at], self.config);
+        let fit = fits.then(|| Fit {
+            distance_squared,
+            score: log_ratio(distance_squared, rows.log_determinant(), self.config),
+            support: tempered_ratio(distance_squared, rows.s[(0, 0)], self.config),
+        });
+        node.known.borrow_mut()[anchor][at] = Some(fit);
+        fit
+    }
+
+    /// Keeps a set when it is the best of its place.
+    fn file(&mut self, set: Set) {
+        self.most = self.most.max(set.pairs.len());
+        match self.found.iter_mut().find(|known| !known.apart_from(&set)) {
+            Some(known) if known.score >= set.score => {}
+            Some(known) => *known = set,
+            None => self.found.push(set),
+        }
+    }
+}
