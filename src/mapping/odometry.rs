@@ -55,6 +55,9 @@ pub struct InertialNoise {
     /// Height error per metre of path: slopes too small for the resolution of the pitch, and what the ground
     /// does between two readings. What pitch itself has erred by on the way comes on top. Valid: 0 to 1.
     pub height_per_m: f64,
+    /// Height error in metres per radian that the body tilts: about which of its wheels it does, none knows.
+    /// Valid: 0 to 1.
+    pub height_per_rad: f64,
     /// Pitch and roll error in radians per metre of path: the body rocks between readings.
     /// Valid: 0 to 1.
     pub attitude_per_m: f64,
@@ -75,6 +78,7 @@ impl Default for InertialNoise {
             step_share: 0.06,
             height_fixed_m: 0.004,
             height_per_m: 0.004,
+            height_per_rad: 0.2,
             attitude_per_m: 0.004,
             fixed_m: 0.006,
             place_per_root_m: 0.02,
@@ -231,12 +235,14 @@ impl OdometryNoise {
             self.heading_per_rad * wheel_turn,
             inertial.step_share * steps,
         ]);
+        let tilts = motion.inertial_tilts_rad2.sqrt();
         let height_fixed_m = if only_inertial { inertial.height_fixed_m } else { fixed_m };
         let height = sum(&[
             height_fixed_m,
             self.height_per_m * wheel_path,
             inertial.height_per_m * told_path,
-            inertial.step_share * motion.inertial_tilts_rad2.sqrt() * told_path,
+            inertial.step_share * tilts * told_path,
+            inertial.height_per_rad * tilts,
         ]);
         let attitude = sum(&[
             fixed_rad,

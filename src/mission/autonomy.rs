@@ -58,6 +58,8 @@ const LOOKS_AROUND: u32 = 2;
 /// Rows of the sweep by which a tilt that showed no ground is tried again, in degrees.
 const TRIED_AGAIN_DEG: f64 = 1.0;
 
+/// Roll or pitch from which a robot with nothing left to go to is thought to hang, in radians.
+const HANGING_RAD: f64 = 0.12;
 /// From one heading to the next when the robot looks around.
 const THIRD_OF_A_TURN: f64 = 2.0 * std::f64::consts::PI / 3.0;
 
@@ -259,8 +261,10 @@ impl Running {
             self.activity = Activity::Rest { until: at };
             return Verdict::GoOn;
         }
-        if self.is_cut_off() {
-            desk.warn("cut off from where it came: trying to get back");
+        let hangs = self.hangs();
+        if hangs || self.is_cut_off() {
+            let what = if hangs { "a wheel hangs somewhere" } else { "cut off from where it came" };
+            desk.warn(format!("{what}: trying to get back"));
             self.resorts = BACK_OUT;
             self.activity = Activity::Rest { until: desk.now + CUT_OFF };
             return Verdict::GoOn;
@@ -268,6 +272,13 @@ impl Running {
         let left = self.frontiers_left.as_ref().map_or(0, Vec::len);
         desk.info(format!("nothing left to explore, {left} frontiers stay"));
         Verdict::Explored
+    }
+
+    /// Whether the body leans as no ground that is driven on for long does: a wheel has gone down beside a
+    /// plate or up on something, and what looks unreachable from there is not.
+    fn hangs(&self) -> bool {
+        let attitude = self.belief.attitude();
+        attitude.is_some_and(|now| now.roll_rad.abs().max(now.pitch_rad.abs()) > HANGING_RAD)
     }
 
     /// Whether most of the ground that the robot drove over on its level can no longer be reached: it

@@ -262,6 +262,11 @@ impl Belief {
         self.motion.last_attitude()
     }
 
+    /// Where the robot is from where its readings began, by more than its wheels.
+    pub fn reckoned(&self) -> Option<&Isometry3<f64>> {
+        self.motion.reckoned()
+    }
+
     /// Takes in a reading of an inertial unit.
     pub fn take_inertial(&mut self, reading: &InsReading) {
         self.motion.attitude(reading.into());

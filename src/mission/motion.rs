@@ -68,6 +68,9 @@ pub struct MotionTracker {
     wheel_leaps: Leaps<PlanarPose>,
     attitude_leaps: Leaps<BodyAttitude>,
     way: InertialWay,
+    /// The increments so far put together, and whether an inertial unit had a part in the last.
+    reckoned: Isometry3<f64>,
+    is_inertial: bool,
 }
 
 /// A robot drives no farther than this between two readings of its wheels, unless some were lost; nor does it
@@ -119,6 +122,20 @@ impl MotionTracker {
     /// before, and what measured it. `None` for the first reading, which is only the origin, and for
     /// one that leaps, until the next is near it.
     pub fn wheels(&mut self, wheels: PlanarPose) -> Option<(Isometry3<f64>, MotionSource)> {
+        let (increment, source) = self.increment(wheels)?;
+        self.reckoned *= increment;
+        self.reckoned.rotation.renormalize();
+        self.is_inertial = source != MotionSource::Wheels;
+        Some((increment, source))
+    }
+
+    /// Dead reckoning from the first reading on, which no sweep corrects, so that it never jumps. `None` where
+    /// it is the wheels' alone; else the turn is an inertial unit's, and the way if that tells places.
+    pub fn reckoned(&self) -> Option<&Isometry3<f64>> {
+        self.is_inertial.then_some(&self.reckoned)
+    }
+
+    fn increment(&mut self, wheels: PlanarPose) -> Option<(Isometry3<f64>, MotionSource)> {
         let apart_m = |a: &PlanarPose, b: &PlanarPose| (b.x_m - a.x_m).hypot(b.y_m - a.y_m);
         let is_near = |a: &PlanarPose, b: &PlanarPose| apart_m(a, b) <= LEAP_M;
         if !self.wheel_leaps.believes(self.wheels.as_ref(), &wheels, is_near) {

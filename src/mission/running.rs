@@ -380,7 +380,7 @@ impl Running {
             arrival: desk.now,
             command: self.command,
             odometry: Pose2 { x_m, y_m, yaw_rad: heading_rad },
-            observed: None,
+            observed: self.belief.reckoned().map(Pose2::from_isometry),
             roll_rad: attitude.roll_rad,
             pitch_rad: attitude.pitch_rad,
         });
