@@ -75,7 +75,7 @@ async fn terminated() {
 /// Whether whoever started the program had SIGHUP, signal 1, ignored. Where that cannot be known it
 /// was not.
 #[cfg(unix)]
-fn hangup_is_ignored() -> bool {
+pub fn hangup_is_ignored() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());

@@ -6,7 +6,7 @@ mod eval;
 mod export;
 mod files;
 mod info;
-mod interrupt;
+pub mod interrupt;
 mod keys;
 mod map;
 mod mission;

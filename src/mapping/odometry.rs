@@ -351,6 +351,40 @@ mod tests {
     }
 
     #[test]
+    fn an_inertial_units_places_are_as_uncertain_as_their_steps_whatever_the_heading() {
+        let noise = OdometryNoise::default();
+        let covariance = |source: MotionSource| {
+            let mut motion = Motion::default();
+            for _ in 0..40 {
+                motion.append(&Isometry3::new(Vector3::x() * 0.1, Vector3::z() * 0.02), source);
+            }
+            noise.covariance(&motion)
+        };
+        let [by_wheels, by_unit] =
+            [MotionSource::InertialTurn, MotionSource::Inertial].map(covariance);
+        let unit = &noise.inertial;
+        let parts = [unit.fixed_m, 2.0 * unit.place_per_root_m, 4.0 * unit.place_per_m];
+        let expected: f64 = parts.iter().map(|part| part * part).sum();
+        assert!(
+            (by_unit[(0, 0)] - expected).abs() < 1e-12
+                && (by_unit[(1, 1)] - expected).abs() < 1e-12
+        );
+        assert!(by_unit[(1, 5)].abs() < 1e-12 && by_wheels[(1, 5)].abs() > 1e-6);
+        assert_eq!(by_unit[(5, 5)], by_wheels[(5, 5)], "the turn is the unit's in both");
+        assert!(by_wheels[(0, 0)] > 9.0 * by_unit[(0, 0)]);
+    }
+
+    #[test]
+    fn a_body_that_tilts_on_the_spot_is_at_no_sure_height() {
+        let height_m = |tilt_rad: f64| {
+            let mut motion = Motion::default();
+            motion.append(&Isometry3::rotation(Vector3::y() * tilt_rad), MotionSource::Inertial);
+            OdometryNoise::default().covariance(&motion)[(2, 2)].sqrt()
+        };
+        assert!(height_m(0.2) > 0.04 && height_m(0.001) < 0.005);
+    }
+
+    #[test]
     fn driving_up_a_slope_climbs() {
         let up = (0.0, -0.2);
         let level = tilted_increment(1.0, 0.0, 0.3, (0.0, 0.0), (0.0, 0.0));

@@ -57,16 +57,18 @@ impl Running {
         let left_s = (end - desk.now).seconds();
         if left_s > needed_s {
             if self.closing == Closing::Turning {
-                return self.turn_on(desk);
+                return self.turn_on(end, desk);
             }
             return left_s <= needed_s + longest_turn_s()
-                && self.begin_turn(left_s - needed_s, desk);
+                && self.begin_turn(left_s - needed_s, end, desk);
         }
-        self.look_last(profile, end, desk)
+        self.look_last(end, desk)
     }
 
-    fn look_last(&mut self, profile: Profile, end: Arrival, desk: &mut Desk<'_>) -> bool {
-        let Some(request) = self.taken(profile, desk.config) else { return false };
+    fn look_last(&mut self, end: Arrival, desk: &mut Desk<'_>) -> bool {
+        let Some(request) = self.taken(Profile::coarse(ROWS_DEG), desk.config) else {
+            return false;
+        };
         let has_turned = std::mem::replace(&mut self.closing, Closing::Over) == Closing::Turning;
         self.end_nod("the time is nearly up", desk);
         if has_turned || self.belief.leg_m() > MOVED_M || self.is_vague() {
@@ -83,7 +85,7 @@ impl Running {
 
     /// Begins to turn to where a look fixes the place, if one ahead does not and the time left is as long as
     /// the turn.
-    fn begin_turn(&mut self, left_s: f64, desk: &mut Desk<'_>) -> bool {
+    fn begin_turn(&mut self, left_s: f64, end: Arrival, desk: &mut Desk<'_>) -> bool {
         if !self.is_vague() || !self.may_explore(desk.config) {
             return false;
         }
@@ -92,10 +94,10 @@ impl Running {
         let covariance = Matrix3::from_fn(|i, j| covariance[(axes[i], axes[j])]);
         let pose = self.pose2();
         let landmarks = self.belief.mapper().landmarks().iter();
-        let Some(fix) = best_heading(landmarks, &pose, &covariance, &self.grid) else {
+        let Some(yaw_rad) = best_heading(landmarks, &pose, &covariance, &self.grid) else {
             return false;
         };
-        let turn_rad = wrap_pi(fix.yaw_rad - pose.yaw_rad).abs();
+        let turn_rad = wrap_pi(yaw_rad - pose.yaw_rad).abs();
         if left_s > turn_s(turn_rad) {
             return false;
         }
@@ -107,15 +109,18 @@ impl Running {
             turn_rad.to_degrees()
         ));
         self.end_nod("the time is nearly up", desk);
-        self.pilot.set_path(path.with_goal_yaw(fix.yaw_rad));
+        self.pilot.set_path(path.with_goal_yaw(yaw_rad));
         self.park(desk);
-        self.activity = Activity::Rest { until: desk.end.unwrap_or(desk.now) };
+        self.activity = Activity::Rest { until: end };
         self.closing = Closing::Turning;
         true
     }
 
-    /// One cycle of that turn.
-    fn turn_on(&mut self, desk: &mut Desk<'_>) -> bool {
+    /// One cycle of that turn. Trouble on the way ends it: there is no time for getting out.
+    fn turn_on(&mut self, end: Arrival, desk: &mut Desk<'_>) -> bool {
+        if !matches!(self.activity, Activity::Rest { .. }) {
+            return self.look_last(end, desk);
+        }
         self.renew_grid(desk);
         let pose = self.pose2();
         let parked = self.parked(desk.now);
@@ -124,8 +129,7 @@ impl Running {
             self.drive(command, desk);
             return true;
         }
-        let end = desk.end.unwrap_or(desk.now);
-        self.look_last(Profile::coarse(ROWS_DEG), end, desk)
+        self.look_last(end, desk)
     }
 
     /// Whether the sweeps so far leave the place or the heading badly known.

@@ -27,13 +27,6 @@ const ARRIVED_M: f64 = 0.4;
 /// A heading must leave this share of the spread that looking ahead leaves, to be worth turning.
 const WORTH: f64 = 0.5;
 
-/// A heading, and what a look there leaves of the spread: squares in units of [`PLACE_M`] and [`HEADING_RAD`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Fix {
-    pub yaw_rad: f64,
-    pub spread: f64,
-}
-
 /// The heading from which `landmarks` fix the robot best, if that is much better than looking ahead.
 /// `covariance` is that of x, y and heading.
 pub(super) fn best_heading<'a>(
@@ -41,9 +34,10 @@ pub(super) fn best_heading<'a>(
     pose: &Pose2,
     covariance: &Matrix3<f64>,
     grid: &Grid,
-) -> Option<Fix> {
+) -> Option<f64> {
     let prior = covariance.try_inverse()?;
     let tell: Vec<Told> = landmarks.flat_map(|landmark| told_by(landmark, pose, grid)).collect();
+    // What a look there leaves of the spread, in units of what ought to be known.
     let spread = |yaw_rad: f64| {
         let is_in_view = |told: &&Told| wrap_pi(told.bearing_rad - yaw_rad).abs() <= HALF_VIEW_RAD;
         let in_view = tell.iter().filter(is_in_view);
@@ -52,10 +46,10 @@ pub(super) fn best_heading<'a>(
         (left[(0, 0)] + left[(1, 1)]) / PLACE_M.powi(2) + left[(2, 2)] / HEADING_RAD.powi(2)
     };
     let turned = |step: u32| wrap_pi(pose.yaw_rad + TAU * f64::from(step) / f64::from(HEADINGS));
-    let best = (1..HEADINGS)
-        .map(|step| Fix { yaw_rad: turned(step), spread: spread(turned(step)) })
-        .min_by(|a, b| a.spread.total_cmp(&b.spread))?;
-    (best.spread < WORTH * spread(pose.yaw_rad)).then_some(best)
+    let (yaw_rad, left) = (1..HEADINGS)
+        .map(|step| (turned(step), spread(turned(step))))
+        .min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (left < WORTH * spread(pose.yaw_rad)).then_some(yaw_rad)
 }
 
 /// A piece of a surface: its bearing, and the information on x, y and heading that a look at it gives.
@@ -146,7 +140,7 @@ mod tests {
         let grid = terrain.project(&Isometry3::identity());
         let covariance = Matrix3::from_diagonal(&Vector3::new(0.01, 0.01, 0.001));
         let pose = Pose2 { x_m: 0.0, y_m: 0.0, yaw_rad };
-        best_heading(landmarks.iter(), &pose, &covariance, &grid).map(|fix| fix.yaw_rad)
+        best_heading(landmarks.iter(), &pose, &covariance, &grid)
     }
 
     #[test]

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::time::Duration;
+use usar_agent::cli::interrupt::hangup_is_ignored;
 use usar_agent::protocol::Dialect::{self, Udk, Ut2004};
 
 /// The text from `start` to the next `}`.
@@ -129,14 +130,8 @@ fn a_start_pose_can_be_given_back_as_it_was_told() {
 
 #[test]
 fn a_closed_terminal_ends_a_run_well() {
-    // Started under `nohup`, the program goes on without its terminal, as it should.
-    let ignored = |status: String| {
-        let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?.trim().to_owned();
-        u64::from_str_radix(&mask, 16).ok().map(|mask| mask & 1 == 1)
-    };
-    if std::fs::read_to_string("/proc/self/status").ok().and_then(ignored) == Some(true) {
-        return;
-    }
+    // Started under `nohup` it goes on without its terminal, as it should, and is asked to end otherwise.
+    let signal = if hangup_is_ignored() { "-TERM" } else { "-HUP" };
     let stand = Stand::of("yellow", Ut2004);
     let folder = tempfile::tempdir().unwrap();
     let mut child = Command::new(assert_cmd::cargo::cargo_bin!("usar"))
@@ -149,7 +144,7 @@ fn a_closed_terminal_ends_a_run_well() {
     let mut line = String::new();
     // Nobody reads on: whatever the program says from here on is refused.
     BufReader::new(child.stderr.take().unwrap()).read_line(&mut line).unwrap();
-    let killed = Command::new("kill").args(["-HUP", &child.id().to_string()]).status();
+    let killed = Command::new("kill").args([signal, &child.id().to_string()]).status();
     assert!(killed.unwrap().success(), "`kill` is of every POSIX system");
     assert_eq!(child.wait().unwrap().code(), Some(0), "after {line}");
     assert!(folder.path().join("report.json").exists());
