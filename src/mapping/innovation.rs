@@ -73,6 +73,57 @@ impl Innovation {
         Self { h: Vector3::new(lever.z, tilts.0, tilts.1), h_x, h_z, h_f }
     }
 
+    /// The same discrepancy with its tilts about the axes of the observed frame, which is what turns F's
+    /// normal into O's as O sees it.
+    ///
+    /// A map plane's frame may lie and be turned in its plane in any way: here nothing depends on that, so
+    /// that no motion of the world as a whole changes anything, to any order in the tilts. About the axes
+    /// of F a turn about F's normal turns the tilts, and a thousand of them, each by a milliradian of
+    /// noise, add up to a measurement of the world's attitude that nobody made.
+    pub fn as_observed(
+        world_from_plane: &Isometry3<f64>,
+        world_from_robot: &Isometry3<f64>,
+        robot_from_plane: &Isometry3<f64>,
+    ) -> Self {
+        let map_rotation = rotation_matrix(world_from_plane);
+        let map_normal = map_rotation.column(2).into_owned();
+        let world_from_observed = world_from_robot * robot_from_plane;
+        let observed_from_world = rotation_matrix(&world_from_observed).transpose();
+        let centroid = world_from_observed.translation.vector;
+        let lever = map_rotation.transpose() * (centroid - world_from_plane.translation.vector);
+        // F's normal as O sees it; the tilts turn it back.
+        let normal = observed_from_world * map_normal;
+        let (tilts, tilts_from_normal) = tilts_of(&normal);
+
+        let arm = centroid - world_from_robot.translation.vector;
+        let mut h_x = Matrix3x6::zeros();
+        h_x.fixed_view_mut::<1, 3>(0, 0).copy_from(&map_normal.transpose());
+        h_x.fixed_view_mut::<1, 3>(0, 3).copy_from(&arm.cross(&map_normal).transpose());
+        let turn = -tilts_from_normal * observed_from_world * skew(&map_normal);
+        h_x.fixed_view_mut::<2, 3>(1, 3).copy_from(&turn);
+
+        // Turning O by (ψ, θ, 0) turns everything O sees by the opposite.
+        let mut h_z = Matrix3::zeros();
+        h_z[(0, 0)] = normal.z;
+        let about_y = tilts_from_normal * Vector3::y().cross(&normal);
+        let about_x = tilts_from_normal * Vector3::x().cross(&normal);
+        h_z.fixed_view_mut::<2, 1>(1, 1).copy_from(&about_y);
+        h_z.fixed_view_mut::<2, 1>(1, 2).copy_from(&about_x);
+
+        // A rotation (ψ, θ, 0) of F's frame tips its z axis by (θ, -ψ, 0).
+        let relative_rotation = observed_from_world * map_rotation;
+        let mut h_f = Matrix3::zeros();
+        h_f[(0, 0)] = -1.0;
+        h_f[(0, 1)] = lever.x;
+        h_f[(0, 2)] = -lever.y;
+        let about_y = -(tilts_from_normal * relative_rotation.column(0));
+        let about_x = tilts_from_normal * relative_rotation.column(1);
+        h_f.fixed_view_mut::<2, 1>(1, 1).copy_from(&about_y);
+        h_f.fixed_view_mut::<2, 1>(1, 2).copy_from(&about_x);
+
+        Self { h: Vector3::new(lever.z, -tilts.0, -tilts.1), h_x, h_z, h_f }
+    }
+
     /// Information of the discrepancy under an observation's own noise (offset, tilts about y and x), its
     /// `H_z R H_zᵀ` inverted; `None` where that is singular.
     pub fn information(&self, covariance: &Matrix3<f64>) -> Option<Matrix3<f64>> {
@@ -118,7 +169,7 @@ mod tests {
     use super::super::perturbation::{perturbed_plane, perturbed_pose};
     use super::*;
     use crate::geometry::EulerPose;
-    use nalgebra::{Matrix3x6, UnitQuaternion, Vector6};
+    use nalgebra::{Matrix3x6, Vector6};
     use proptest::prelude::*;
 
     #[test]
@@ -137,6 +188,12 @@ mod tests {
         assert_eq!(innovation.h, Vector3::new(0.25, 0.0, 0.0));
     }
 
+    /// A plane's frame near another: turned freely about its normal, tilted and shifted.
+    fn near(tilt: [f64; 3], shift: [f64; 3], scale: f64) -> Isometry3<f64> {
+        let turn = Vector3::new(tilt[0] * scale, tilt[1] * scale, 3.0 * tilt[2]);
+        Isometry3::new(Vector3::new(shift[0], shift[1], 0.2 * shift[2]), turn)
+    }
+
     proptest! {
         #[test]
         fn jacobians_match_central_differences(
@@ -144,32 +201,48 @@ mod tests {
             tilt in prop::array::uniform3(-0.4..0.4f64), shift in prop::array::uniform3(-2.0..2.0f64),
             scale in prop::sample::select(vec![1.0, 1e-3, 0.0]),
         ) {
-            // O near F: turned freely about its normal, tilted by `tilt`.
-            let near = Isometry3::from_parts(
-                Vector3::new(shift[0], shift[1], 0.2 * shift[2]).into(),
-                UnitQuaternion::from_scaled_axis(
-                    Vector3::new(tilt[0] * scale, tilt[1] * scale, 3.0 * tilt[2])),
-            );
-            let observed = robot.inverse() * map * near;
-            let innovation = Innovation::new(&map, &robot, &observed);
-            let step = 1e-6;
-            for axis in 0..6 {
-                let mut error = Vector6::zeros();
-                error[axis] = step;
-                let at = |e: &Vector6<f64>| Innovation::new(&map, &perturbed_pose(&robot, e), &observed).h;
-                let numeric = (at(&error) - at(&-error)) / (2.0 * step);
-                prop_assert!((innovation.h_x.column(axis) - numeric).norm() < 1e-6);
+            let observed = robot.inverse() * map * near(tilt, shift, scale);
+            for of in [Innovation::new, Innovation::as_observed] {
+                let innovation = of(&map, &robot, &observed);
+                let step = 1e-6;
+                for axis in 0..6 {
+                    let mut error = Vector6::zeros();
+                    error[axis] = step;
+                    let at = |e: &Vector6<f64>| of(&map, &perturbed_pose(&robot, e), &observed).h;
+                    let numeric = (at(&error) - at(&-error)) / (2.0 * step);
+                    prop_assert!((innovation.h_x.column(axis) - numeric).norm() < 1e-6);
+                }
+                for axis in 0..3 {
+                    let mut error = Vector3::zeros();
+                    error[axis] = step;
+                    let at = |e: &Vector3<f64>| of(&map, &robot, &perturbed_plane(&observed, e)).h;
+                    let numeric = (at(&error) - at(&-error)) / (2.0 * step);
+                    prop_assert!((innovation.h_z.column(axis) - numeric).norm() < 1e-6);
+                    let at = |e: &Vector3<f64>| of(&perturbed_plane(&map, e), &robot, &observed).h;
+                    let numeric = (at(&error) - at(&-error)) / (2.0 * step);
+                    prop_assert!((innovation.h_f.column(axis) - numeric).norm() < 1e-6);
+                }
             }
-            for axis in 0..3 {
-                let mut error = Vector3::zeros();
-                error[axis] = step;
-                let at = |e: &Vector3<f64>| Innovation::new(&map, &robot, &perturbed_plane(&observed, e)).h;
-                let numeric = (at(&error) - at(&-error)) / (2.0 * step);
-                prop_assert!((innovation.h_z.column(axis) - numeric).norm() < 1e-6);
-                let at = |e: &Vector3<f64>| Innovation::new(&perturbed_plane(&map, e), &robot, &observed).h;
-                let numeric = (at(&error) - at(&-error)) / (2.0 * step);
-                prop_assert!((innovation.h_f.column(axis) - numeric).norm() < 1e-6);
-            }
+        }
+
+        /// About O's axes nothing depends on where F's frame lies in its plane, and without a tilt both
+        /// ways to tell it are one.
+        #[test]
+        fn as_observed_a_plane_is_a_plane_whatever_its_frame(
+            map in any_pose(), robot in any_pose(),
+            tilt in prop::array::uniform3(-0.4..0.4f64), shift in prop::array::uniform3(-2.0..2.0f64),
+            slid in prop::array::uniform2(-5.0..5.0f64), turned in -3.0..3.0f64,
+        ) {
+            let observed = robot.inverse() * map * near(tilt, shift, 1.0);
+            let within = Isometry3::new(Vector3::new(slid[0], slid[1], 0.0), Vector3::z() * turned);
+            let [own, other] = [map, map * within].map(|map| Innovation::as_observed(&map, &robot, &observed));
+            prop_assert!((own.h - other.h).norm() < 1e-9 && (own.h_x - other.h_x).norm() < 1e-9);
+            prop_assert!((own.h_z - other.h_z).norm() < 1e-9);
+            let untilted = Isometry3::translation(shift[0], shift[1], shift[2]);
+            let observed = robot.inverse() * map * untilted;
+            let [own, other] = [Innovation::new, Innovation::as_observed].map(|of| of(&map, &robot, &observed));
+            prop_assert!((own.h - other.h).norm() < 1e-9 && (own.h_x - other.h_x).norm() < 1e-7);
+            prop_assert!((own.h_z - other.h_z).norm() < 1e-7 && (own.h_f - other.h_f).norm() < 1e-7);
         }
 
         /// Equation (5) as printed, on Euler angles, where those are not singular.

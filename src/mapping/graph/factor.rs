@@ -234,7 +234,7 @@ fn plane_rows(
     let corrected = common.map_or(*robot_from_plane, |(jacobian, errors)| {
         perturbed_plane(robot_from_plane, &-(jacobian * errors))
     });
-    let innovation = Innovation::new(plane, pose, &corrected);
+    let innovation = Innovation::as_observed(plane, pose, &corrected);
     let noise = innovation.h_z * covariance * innovation.h_z.transpose();
     let weight = ((noise + noise.transpose()) * 0.5)
         .cholesky()
