@@ -62,8 +62,8 @@ pub struct GraphConfig {
     /// What a measurement may be wrong by, in metres, because its variables have moved away from where
     /// it was linearised; beyond it they are linearised again. Valid: above 0.
     pub nonlinear_m: f64,
-    /// A correction smaller than this (metres or radians) is not carried further down the tree.
-    /// Valid: 0 or more.
+    /// A correction smaller than this (metres or radians) is not carried further down the tree: far
+    /// places wait until as much has added up. Valid: 0 or more.
     pub negligible: f64,
     /// Most rounds of linearisation in one update. Valid: at least 1.
     pub max_rounds: usize,
@@ -71,7 +71,7 @@ pub struct GraphConfig {
 
 impl Default for GraphConfig {
     fn default() -> Self {
-        Self { nonlinear_m: 5e-5, negligible: 2e-5, max_rounds: 6 }
+        Self { nonlinear_m: 5e-6, negligible: 2e-5, max_rounds: 6 }
     }
 }
 
@@ -113,7 +113,7 @@ pub struct GraphUpdate {
     pub rounds: usize,
     /// Variables that were eliminated again, over all rounds.
     pub eliminated: usize,
-    /// Variables whose solution changed by more than the negligible amount.
+    /// Variables whose solution changed by a tenth of the negligible amount or more.
     pub changed: BTreeSet<Key>,
     /// Directions about which nothing was known; zero in a well-posed graph.
     pub weak_pivots: usize,
@@ -129,6 +129,8 @@ pub struct Graph {
     free_cliques: Vec<usize>,
     /// Variables whose cliques are out of date.
     stale: BTreeSet<Key>,
+    /// Cliques that the last update solved, from the root down as far as corrections mattered.
+    solved: BTreeSet<usize>,
 }
 
 impl Graph {
@@ -141,6 +143,7 @@ impl Graph {
             cliques: Vec::new(),
             free_cliques: Vec::new(),
             stale: BTreeSet::new(),
+            solved: BTreeSet::new(),
         }
     }
 
@@ -225,6 +228,12 @@ impl Graph {
     pub fn value(&self, key: Key) -> Value {
         let variable = &self.variables[key.0 as usize];
         variable.at.perturbed(variable.delta())
+    }
+
+    /// Where a variable is linearised. What is added beside it should begin beside that, not beside its
+    /// solution, or its neighbours would have to be linearised anew.
+    pub fn linearised_at(&self, key: Key) -> &Value {
+        &self.variables[key.0 as usize].at
     }
 
     /// The present solution of a pose.

@@ -1,10 +1,12 @@
 //! The tree against dense algebra: same solution, same covariance, whatever the order of events.
 
+use super::super::perturbation::perturbed_plane;
 use super::*;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, UnitQuaternion, Vector3, Vector6};
 use proptest::prelude::*;
 use rand_core::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
+use std::f64::consts::FRAC_PI_2;
 
 /// A standard normal number, by adding twelve uniform ones.
 fn normal(rng: &mut Pcg64) -> f64 {
@@ -90,21 +92,29 @@ impl Walk {
         });
     }
 
+    fn begin(&mut self) {
+        for index in 0..4 {
+            self.see(index);
+        }
+        self.graph.update();
+    }
+
+    fn go_on(&mut self, k: usize) {
+        self.step();
+        for index in k..k + 4 {
+            self.see(index);
+        }
+        if k % 7 == 3 {
+            self.see(k / 2);
+        }
+        self.graph.update();
+    }
+
     fn run(seed: u64, steps: usize) -> Self {
         let mut walk = Self::new(seed);
-        for index in 0..4 {
-            walk.see(index);
-        }
-        walk.graph.update();
+        walk.begin();
         for k in 1..=steps {
-            walk.step();
-            for index in k..k + 4 {
-                walk.see(index);
-            }
-            if k % 7 == 3 {
-                walk.see(k / 2);
-            }
-            walk.graph.update();
+            walk.go_on(k);
         }
         walk
     }
@@ -119,8 +129,8 @@ fn dense(graph: &Graph) -> (DMatrix<f64>, DVector<f64>, Vec<usize>) {
         first.push(size);
         size += graph.value(Key(index as u32)).dimension();
     }
-    let values: Vec<Value> =
-        (0..graph.variable_count()).map(|i| graph.value(Key(i as u32))).collect();
+    let keys: Vec<Key> = (0..graph.variable_count() as u32).map(Key).collect();
+    let values = graph.values_now(&keys);
     let mut information = DMatrix::zeros(size, size);
     let mut side = DVector::zeros(size);
     for held in graph.factors.iter().flatten() {
@@ -221,6 +231,96 @@ fn an_ordinary_step_renews_only_what_is_near() {
     let update = walk.graph.update();
     assert!(update.eliminated < 40, "{} of {}", update.eliminated, walk.graph.variable_count());
     assert_eq!(update.weak_pivots, 0);
+}
+
+#[test]
+fn what_is_left_to_add_up_far_away_is_there_when_it_is_asked_for() {
+    for seed in 0..4 {
+        let (mut lazy, mut eager) = (Walk::new(seed), Walk::new(seed));
+        (lazy.graph.config.negligible, eager.graph.config.negligible) = (2e-3, 0.0);
+        for walk in [&mut lazy, &mut eager] {
+            // Linearising anew brings everything up to date.
+            walk.graph.config.nonlinear_m = 1.0;
+        }
+        for walk in [&mut lazy, &mut eager] {
+            walk.begin();
+        }
+        let mut behind = 0.0_f64;
+        for step in 1..25 {
+            for walk in [&mut lazy, &mut eager] {
+                walk.go_on(step);
+            }
+            let keys: Vec<Key> = (0..lazy.graph.variable_count() as u32).map(Key).collect();
+            let gap = |a: &Value, b: &Value| match (a, b) {
+                (Value::Pose(a), Value::Pose(b)) | (Value::Plane(a), Value::Plane(b)) => {
+                    super::super::perturbation::pose_error(a, b).norm()
+                }
+                _ => 0.0,
+            };
+            for (key, now) in keys.iter().zip(lazy.graph.values_now(&keys)) {
+                let expected = eager.graph.value(*key);
+                // Either is linearised where it was when it moved.
+                assert!(gap(&now, &expected) < 2e-4, "seed {seed}, step {step}, {key:?}");
+                let known = gap(&lazy.graph.value(*key), &expected);
+                behind = behind.max(known);
+            }
+        }
+        assert!(behind > 2e-4 && behind < 2e-2, "{behind}");
+    }
+}
+
+/// No number of looks at walls, each turned by its noise, is a measurement of how the world lies.
+#[test]
+fn looking_says_nothing_about_the_attitude_of_the_whole() {
+    let mut rng = Pcg64::seed_from_u64(5);
+    let mut graph = Graph::new(GraphConfig::default());
+    let walls: Vec<Isometry3<f64>> = (0..4)
+        .map(|i| {
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * f64::from(i) * FRAC_PI_2);
+            let upright = UnitQuaternion::from_scaled_axis(Vector3::y() * FRAC_PI_2);
+            Isometry3::from_parts((turn * Vector3::new(3.0, 0.0, 0.0)).into(), turn * upright)
+        })
+        .collect();
+    let start = graph.add_variable(Value::Pose(Isometry3::identity()));
+    let sigmas = Vector6::new(1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1);
+    let covariance = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
+    let world_from_robot = Isometry3::identity();
+    graph.add_factor(Factor::Prior { pose: start, world_from_robot, covariance });
+    let planes: Vec<Key> =
+        walls.iter().map(|wall| graph.add_variable(Value::Plane(*wall))).collect();
+    let mut pose = start;
+    for look in 0..200 {
+        for (wall, &plane) in walls.iter().zip(&planes) {
+            let error = Vector3::from(drawn(&mut rng, [1e-3, 5e-3, 5e-3]));
+            let robot_from_plane = perturbed_plane(wall, &error);
+            let covariance = Matrix3::from_diagonal(&Vector3::new(1e-6, 25e-6, 25e-6));
+            graph.add_factor(Factor::Plane {
+                pose,
+                plane,
+                errors: None,
+                robot_from_plane,
+                covariance,
+            });
+        }
+        graph.update();
+        if look + 1 < 200 {
+            let after = graph.add_variable(Value::Pose(graph.pose(pose)));
+            let covariance = Matrix6::identity();
+            let before_from_after = Isometry3::identity();
+            graph.add_factor(Factor::Between {
+                before: pose,
+                after,
+                before_from_after,
+                covariance,
+            });
+            pose = after;
+        }
+    }
+    let first = graph.covariance(&[start]);
+    for i in 3..6 {
+        let sigma = first[(i, i)].sqrt();
+        assert!((sigma / 0.1 - 1.0).abs() < 1e-6, "{i}: {sigma}");
+    }
 }
 
 #[test]

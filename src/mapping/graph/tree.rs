@@ -17,6 +17,8 @@ type Step = [f64; 6];
 /// Part of the second order at which one variable is linearised again that takes others along with it:
 /// where neighbours are linearised at turns that differ, a turn of the whole looks as if it were measured.
 const WITH_THEM: f64 = 0.01;
+/// Part of a negligible correction that a variable must move by to be told as changed.
+const WORTH_TELLING: f64 = 0.1;
 /// How far away a scan's surfaces lie as a rule, in metres.
 const RAY_M: f64 = 5.0;
 
@@ -32,6 +34,8 @@ pub(super) struct Clique {
     /// What remains for the separators: lower triangle of their information, then the right-hand
     /// side as the last row.
     pub(super) remainder: DMatrix<f64>,
+    /// The separators' solution with which the frontal variables were solved.
+    pub(super) solved_with: Vec<f64>,
 }
 
 impl Graph {
@@ -42,8 +46,10 @@ impl Graph {
             done.rounds += 1;
             let stale = std::mem::take(&mut self.stale);
             let roots = self.renew(&stale, &mut done);
-            let changed = self.solve_down(&roots);
+            let mut changed = self.solve_down(&roots);
             if changed.iter().any(|key| self.second_order_m(*key) > self.config.nonlinear_m) {
+                // Neighbours are linearised anew together or not at all, so all must be up to date.
+                changed.extend(self.carry_down(0.0));
                 let all = (0..self.variables.len() as u32).map(Key);
                 let share = WITH_THEM * self.config.nonlinear_m;
                 self.stale = all.filter(|key| self.second_order_m(*key) > share).collect();
@@ -218,6 +224,7 @@ impl Graph {
                 children: Vec::new(),
                 columns: DMatrix::zeros(0, 0),
                 remainder: DMatrix::zeros(0, 0),
+                solved_with: Vec::new(),
             });
         }
         for (clique, &slot) in symbolic.iter().zip(&slots) {
@@ -343,22 +350,38 @@ impl Graph {
     /// Solves from the root down: all of `renewed` (parents first), and below them as far as
     /// corrections matter. Returns the variables whose solution changed.
     fn solve_down(&mut self, renewed: &[usize]) -> BTreeSet<Key> {
-        let fresh: BTreeSet<usize> = renewed.iter().copied().collect();
         let mut steps = BTreeMap::new();
-        let mut pending: Vec<usize> = Vec::new();
         for &slot in renewed {
             self.solve_clique(slot, &mut steps);
-            pending.extend(self.clique(slot).children.iter().filter(|c| !fresh.contains(c)));
         }
+        self.solved.clear();
+        self.solved.extend(renewed);
+        let mut changed = self.worth_telling(&steps);
+        changed.extend(self.carry_down(self.config.negligible));
+        changed
+    }
+
+    /// Solves below the cliques that are up to date, as far as their variables have moved by more than
+    /// `negligible`. Returns the variables whose solution changed.
+    fn carry_down(&mut self, negligible: f64) -> BTreeSet<Key> {
+        let below = |slot: &usize| self.clique(*slot).children.iter();
+        let mut pending: Vec<usize> = self.solved.iter().flat_map(below).copied().collect();
+        pending.retain(|slot| !self.solved.contains(slot));
+        let mut steps = BTreeMap::new();
         while let Some(slot) = pending.pop() {
-            if self.matters(slot, &steps) {
+            if self.matters(slot, negligible) {
                 pending.extend(self.clique(slot).children.iter().copied());
                 self.solve_clique(slot, &mut steps);
+                self.solved.insert(slot);
             }
         }
-        let negligible = self.config.negligible;
-        steps.retain(|key, step: &mut Step| self.amount(*key, step) > negligible);
-        steps.into_keys().collect()
+        self.worth_telling(&steps)
+    }
+
+    fn worth_telling(&self, steps: &BTreeMap<Key, Step>) -> BTreeSet<Key> {
+        let least = WORTH_TELLING * self.config.negligible;
+        let told = steps.iter().filter(|(key, step)| self.amount(**key, step) > least);
+        told.map(|(key, _)| *key).collect()
     }
 
     /// What a step of a variable amounts to, in metres or radians: of a plane's tilt what it moves the
@@ -370,49 +393,62 @@ impl Graph {
         step[0].abs().max(reach_m * rest)
     }
 
-    /// Whether steps of a clique's separators change what it holds. A floor that all rooms share is
-    /// among the separators of each; that it tilts by a trifle about one of them is nothing to another
-    /// through whose place it still goes.
-    fn matters(&self, slot: usize, steps: &BTreeMap<Key, Step>) -> bool {
-        let Clique { frontals, separators, .. } = self.clique(slot);
+    /// Whether what a clique's separators have moved by since it was solved changes what it holds: trifles
+    /// are left to add up. A floor that all rooms share is among the separators of each; that it tilts by
+    /// a trifle about one of them is nothing to another through whose place it still goes.
+    fn matters(&self, slot: usize, negligible: f64) -> bool {
+        let Clique { frontals, separators, solved_with, .. } = self.clique(slot);
         let value = |key: &Key| &self.variables[key.0 as usize].at;
         let place = frontals.iter().chain(separators).find_map(|key| match value(key) {
             Value::Pose(pose) => Some(Point3::from(pose.translation.vector)),
             _ => None,
         });
+        let mut solved_with = solved_with.as_slice();
         separators.iter().any(|key| {
-            let Some(step) = steps.get(key) else { return false };
+            let delta = self.variables[key.0 as usize].delta();
+            let (before, rest) = solved_with.split_at(delta.len());
+            solved_with = rest;
+            let mut step = [0.0; 6];
+            for ((step, now), before) in step.iter_mut().zip(delta).zip(before) {
+                *step = now - before;
+            }
             let amount = match (value(key), place) {
                 (Value::Plane(frame), Some(place)) => {
                     let at = frame.inverse_transform_point(&place);
-                    let [offset, about_y, about_x, ..] = *step;
+                    let [offset, about_y, about_x, ..] = step;
                     let tilt = RAY_M * about_x.hypot(about_y);
                     (offset + about_x * at.y - about_y * at.x).abs() + tilt
                 }
-                _ => self.amount(*key, step),
+                _ => self.amount(*key, &step),
             };
-            amount > self.config.negligible
+            amount > negligible
         })
     }
 
-    fn solve_clique(&mut self, slot: usize, steps: &mut BTreeMap<Key, Step>) {
+    /// The solution of a clique's frontal variables given that of its separators.
+    fn solution(&self, slot: usize, above: &DVector<f64>) -> DVector<f64> {
         let clique = self.clique(slot);
         let frontal = clique.columns.ncols();
         let size = clique.columns.nrows() - 1;
         let mut solution = clique.columns.row(size).transpose();
         if size > frontal {
-            let mut above = DVector::zeros(size - frontal);
-            let mut at = 0;
-            for key in &clique.separators {
-                let delta = self.variables[key.0 as usize].delta();
-                above.as_mut_slice()[at..at + delta.len()].copy_from_slice(delta);
-                at += delta.len();
-            }
-            solution.gemv_tr(-1.0, &clique.columns.rows(frontal, size - frontal), &above, 1.0);
+            solution.gemv_tr(-1.0, &clique.columns.rows(frontal, size - frontal), above, 1.0);
         }
         let solved = clique.columns.rows(0, frontal).tr_solve_lower_triangular_mut(&mut solution);
         debug_assert!(solved, "pivots are positive after elimination");
-        let frontals = self.clique(slot).frontals.clone();
+        solution
+    }
+
+    fn solve_clique(&mut self, slot: usize, steps: &mut BTreeMap<Key, Step>) {
+        let separators = self.clique(slot).separators.iter();
+        let above: Vec<f64> = separators
+            .flat_map(|key| self.variables[key.0 as usize].delta().iter().copied())
+            .collect();
+        let above = DVector::from_vec(above);
+        let solution = self.solution(slot, &above);
+        let clique = self.clique_mut(slot);
+        clique.solved_with = above.data.into();
+        let frontals = clique.frontals.clone();
         let mut at = 0;
         for key in frontals {
             let variable = &mut self.variables[key.0 as usize];
@@ -427,5 +463,48 @@ impl Graph {
             old.copy_from_slice(new);
             at += dimension;
         }
+    }
+
+    /// The present solution of variables to the last digit: what was left to add up is carried down to
+    /// them, which costs the cliques between them and those that were solved last.
+    pub fn values_now(&self, keys: &[Key]) -> Vec<Value> {
+        let mut deltas: BTreeMap<Key, Vec<f64>> = BTreeMap::new();
+        let mut done: BTreeSet<usize> = BTreeSet::new();
+        for key in keys {
+            let mut path = Vec::new();
+            let mut at = self.variables[key.0 as usize].clique;
+            while let Some(slot) = at.filter(|slot| !self.solved.contains(slot)) {
+                if !done.insert(slot) {
+                    break;
+                }
+                path.push(slot);
+                at = self.clique(slot).parent;
+            }
+            for slot in path.into_iter().rev() {
+                let clique = self.clique(slot);
+                let delta = |key: &Key| match deltas.get(key) {
+                    Some(delta) => delta.as_slice(),
+                    None => self.variables[key.0 as usize].delta(),
+                };
+                let above: Vec<f64> =
+                    clique.separators.iter().flat_map(|key| delta(key).iter().copied()).collect();
+                if above == clique.solved_with {
+                    continue;
+                }
+                let solution = self.solution(slot, &DVector::from_vec(above));
+                let mut at = 0;
+                for key in &clique.frontals {
+                    let dimension = self.variables[key.0 as usize].dimension();
+                    deltas.insert(*key, solution.as_slice()[at..at + dimension].to_vec());
+                    at += dimension;
+                }
+            }
+        }
+        keys.iter()
+            .map(|key| match deltas.get(key) {
+                Some(delta) => self.variables[key.0 as usize].at.perturbed(delta),
+                None => self.value(*key),
+            })
+            .collect()
     }
 }
