@@ -31,8 +31,7 @@ impl Bounds {
         let mut points = points.into_iter();
         let first = points.next()?;
         let (low, high) = points.fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
-        let margin = nalgebra::Vector3::repeat(margin_m);
-        Some(Self { low: low - margin, high: high + margin })
+        Some(Self { low, high }.widened(margin_m))
     }
 
     /// The box with its faces moved out to quarter metres, so that small changes leave it alone.
@@ -44,17 +43,29 @@ impl Bounds {
         }
     }
 
+    /// The box with its faces moved out.
+    pub(super) fn widened(&self, margin_m: f64) -> Self {
+        let margin = nalgebra::Vector3::repeat(margin_m);
+        Self { low: self.low - margin, high: self.high + margin }
+    }
+
+    /// Its lowest and highest corner.
+    pub(super) fn corners(self) -> [Point3<f64>; 2] {
+        [self.low, self.high]
+    }
+
     pub(super) fn meets(&self, other: &Self) -> bool {
         (0..3).all(|k| self.low[k] <= other.high[k] && other.low[k] <= self.high[k])
     }
 
-    fn cells(&self) -> Option<([i32; 3], [i32; 3])> {
+    /// The cells that it reaches into, from the lowest to the highest, unless they are more than `most`.
+    fn cells(&self, most: i64) -> Option<([i32; 3], [i32; 3])> {
         let cell = |x: f64| (x / CELL_M).floor().clamp(-1e8, 1e8) as i32;
         let low: [i32; 3] = std::array::from_fn(|k| cell(self.low[k]));
         let high: [i32; 3] = std::array::from_fn(|k| cell(self.high[k]));
         let count: i64 =
             (0..3).map(|k| i64::from(high[k]) - i64::from(low[k]) + 1).fold(1, i64::saturating_mul);
-        (count <= MOST_CELLS).then_some((low, high))
+        (count <= most).then_some((low, high))
     }
 }
 
@@ -67,7 +78,7 @@ impl SpatialIndex {
             }
             self.remove(item);
         }
-        match bounds.cells() {
+        match bounds.cells(MOST_CELLS) {
             Some((low, high)) => {
                 for cell in cells_between(low, high) {
                     self.cells.entry(cell).or_default().push(item);
@@ -83,7 +94,7 @@ impl SpatialIndex {
     /// Takes `item` out.
     pub(super) fn remove(&mut self, item: u32) {
         let Some(bounds) = self.boxes.remove(&item) else { return };
-        match bounds.cells() {
+        match bounds.cells(MOST_CELLS) {
             Some((low, high)) => {
                 for cell in cells_between(low, high) {
                     if let Some(items) = self.cells.get_mut(&cell) {
@@ -100,16 +111,22 @@ impl SpatialIndex {
         }
     }
 
+    /// The box under which `item` is filed.
+    pub(super) fn bounds(&self, item: u32) -> Option<&Bounds> {
+        self.boxes.get(&item)
+    }
+
     /// The items whose boxes meet `bounds`, in ascending order.
     pub(super) fn query(&self, bounds: &Bounds) -> Vec<u32> {
-        let mut found: Vec<u32> = match bounds.cells() {
+        let most = MOST_CELLS.max(self.boxes.len() as i64);
+        let mut found: Vec<u32> = match bounds.cells(most) {
             Some((low, high)) => cells_between(low, high)
                 .filter_map(|cell| self.cells.get(&cell))
                 .flatten()
                 .chain(&self.wide)
                 .copied()
                 .collect(),
-            // A query wider than the index' cells: every box is looked at.
+            // More cells than boxes: every box is looked at.
             None => self.boxes.keys().copied().collect(),
         };
         found.sort_unstable();

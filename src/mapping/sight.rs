@@ -92,6 +92,7 @@ impl Estimate {
         let walls: Vec<Wall<'_>> = self
             // A wall that the points are said to stand before lies beyond all of them.
             .landmarks_about(around, DOUBLED_M)
+            .map(|(landmark, _)| landmark)
             .filter_map(|landmark| {
                 let plane = prepared.plane_of(landmark.id);
                 let frame = plane.map_or(landmark.world_from_plane, |plane| belief.planes[plane]);

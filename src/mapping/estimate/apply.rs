@@ -1,5 +1,6 @@
 //! Taking a scan in: new variables and measurements, the solution, and the test after it.
 
+use super::candidates::Led;
 use super::curves::gate;
 use super::{Arrival, Attitude, Estimate, Keyframe, Prepared, Roots, Sighting};
 use crate::mapping::association::{Assignment, AssociationConfig, Verdict};
@@ -38,10 +39,14 @@ impl Estimate {
 
         let mut report = UpdateReport::begun(self.keyframes.len(), nis);
         let pairs = verdicts.iter().enumerate().filter_map(|(index, verdict)| match *verdict {
-            Verdict::Seen(plane, _) => Some((&observations[index], landmarks[plane])),
+            Verdict::Seen(plane, _) => {
+                let key = self.roots[&landmarks[plane].id].key;
+                Some((&observations[index], self.graph.linearised_at(key).plane()))
+            }
             _ => None,
         });
-        let guess = beside_landmarks(&assignment.belief.world_from_robot, pairs);
+        let guess = self.beside_last(&assignment.belief.world_from_robot);
+        let guess = beside_landmarks(&guess, pairs);
         self.add_keyframe(arrival, prepared, assignment, guess);
         for (index, verdict) in verdicts.iter().enumerate() {
             let observation = &observations[index];
@@ -69,6 +74,13 @@ impl Estimate {
         self.take_curves(arrival, &mut report, |estimate, report| estimate.solve(report, config));
         self.keep_up(&mut report, arrival.scan);
         report
+    }
+
+    /// A pose beside where the last keyframe is linearised, from where it is beside its solution.
+    fn beside_last(&self, world_from_robot: &Isometry3<f64>) -> Isometry3<f64> {
+        let Some(last) = self.keyframes.last() else { return *world_from_robot };
+        let last_from_robot = self.graph.pose(last.pose).inverse() * world_from_robot;
+        self.graph.linearised_at(last.pose).pose() * last_from_robot
     }
 
     /// Adds the variables of a new keyframe and what ties them to the past.
@@ -114,6 +126,7 @@ impl Estimate {
             told: guess,
             sightings: Vec::new(),
             curves: Vec::new(),
+            led: Led::by(&covariance),
         });
     }
 
@@ -235,12 +248,12 @@ impl Estimate {
 const GUESS_ROUNDS: usize = 3;
 const GUESS_SIGMAS: (f64, f64) = (0.5, 0.1);
 
-/// The pose from which landmarks, where they are in the map now, look as observed. The graph begins
-/// there: begun where the robot is beside the last keyframe, all its neighbours would have to be
-/// linearised anew, and until then a turn of the map as a whole would look as if it were measured.
+/// The pose from which landmarks, where they are linearised, look as observed. The graph begins there:
+/// begun elsewhere, all its neighbours would have to be linearised anew, and until then a turn of the
+/// map as a whole would look as if it were measured.
 fn beside_landmarks<'a>(
     guess: &Isometry3<f64>,
-    pairs: impl Iterator<Item = (&'a Observation, &'a Landmark)> + Clone,
+    pairs: impl Iterator<Item = (&'a Observation, &'a Isometry3<f64>)> + Clone,
 ) -> Isometry3<f64> {
     let (sigma_m, sigma_rad) = GUESS_SIGMAS;
     let held = Matrix6::from_diagonal(&Vector6::from_fn(|i, _| {
@@ -250,9 +263,8 @@ fn beside_landmarks<'a>(
     for _ in 0..GUESS_ROUNDS {
         let mut information = held;
         let mut gradient = held * pose_error(guess, &pose);
-        for (seen, landmark) in pairs.clone() {
-            let innovation =
-                Innovation::new(&landmark.world_from_plane, &pose, &seen.robot_from_plane);
+        for (seen, frame) in pairs.clone() {
+            let innovation = Innovation::new(frame, &pose, &seen.robot_from_plane);
             let Some(weight) = innovation.information(&seen.covariance) else { continue };
             let weighted = innovation.h_x.transpose() * weight;
             information += weighted * innovation.h_x;

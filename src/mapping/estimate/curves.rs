@@ -190,7 +190,9 @@ impl Estimate {
     fn add_curve(&mut self, index: usize, arrival: &Arrival<'_>) {
         let seen = &arrival.scan.curves[index];
         let pose = self.last_pose();
-        let key = self.graph.add_variable(seen.guess(&pose));
+        let keyframe = self.keyframes.last().expect("the scan's keyframe is there");
+        let guess = seen.guess(self.graph.linearised_at(keyframe.pose).pose());
+        let key = self.graph.add_variable(guess);
         self.curve_of.insert(key, self.curves.len());
         let number = self.keyframes.len() - 1;
         self.curves.push(CurvedLandmark::first_seen(key, seen, &pose, number));

@@ -4,6 +4,7 @@
 //! then taken in under one of the assignments found ([`apply`](Estimate::apply)).
 
 mod apply;
+mod candidates;
 mod curves;
 mod prepare;
 mod upkeep;
@@ -12,12 +13,13 @@ use super::association::Assignment;
 use super::belief::Belief;
 use super::curved::CurvedLandmark;
 use super::graph::{FactorId, Graph, GraphConfig, Key, positive};
-use super::index::{Bounds, SpatialIndex};
+use super::index::SpatialIndex;
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
 use super::perturbation::{first_jacobian, second_jacobian, symmetric};
 use super::scan_errors::ScanObservations;
-use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point2, Point3, Vector6};
+use candidates::Led;
+use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point2, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -80,6 +82,8 @@ struct Keyframe {
     sightings: Vec<Sighting>,
     /// Cylinders and spheres that its scan shows.
     curves: Vec<CurveSighting>,
+    /// What the motion to it may be off by.
+    led: Led,
 }
 
 /// A cylinder or sphere of a scan that is in the map.
@@ -172,16 +176,6 @@ impl Estimate {
         self.slot(id).map(|slot| &self.landmarks[slot])
     }
 
-    /// The landmarks whose boxes meet the box around some points, `margin_m` wider on each side.
-    pub(super) fn landmarks_about(
-        &self,
-        points: impl IntoIterator<Item = Point3<f64>>,
-        margin_m: f64,
-    ) -> impl Iterator<Item = &Landmark> {
-        let near = Bounds::around(points, margin_m).map(|bounds| self.index.query(&bounds));
-        near.into_iter().flatten().filter_map(|id| self.landmark(LandmarkId(id)))
-    }
-
     fn slot(&self, id: LandmarkId) -> Option<usize> {
         self.landmarks.binary_search_by_key(&id, |landmark| landmark.id).ok()
     }
@@ -231,6 +225,7 @@ impl Estimate {
 
     /// Poses at all scans.
     pub(super) fn poses(&self) -> Vec<Isometry3<f64>> {
-        self.keyframes.iter().map(|keyframe| self.graph.pose(keyframe.pose)).collect()
+        let keys: Vec<Key> = self.keyframes.iter().map(|keyframe| keyframe.pose).collect();
+        self.graph.values_now(&keys).iter().map(|value| *value.pose()).collect()
     }
 }

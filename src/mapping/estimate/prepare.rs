@@ -1,28 +1,21 @@
 //! Prediction, and which landmarks a scan may show.
 
+use super::candidates::{Led, Window};
 use super::{Arrival, Estimate, Prepared};
 use crate::mapping::anchor::beside;
 use crate::mapping::association::{Assignment, AssociationConfig, Question};
 use crate::mapping::attitude::attitude_rows;
 use crate::mapping::belief::Belief;
-use crate::mapping::graph::scaled_errors;
-use crate::mapping::index::Bounds;
+use crate::mapping::graph::{Key, scaled_errors};
 use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::scan_errors::{ScanObservations, common_error_jacobian};
-use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3x4, Matrix6, Vector3, Vector6};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
 
-/// Most landmarks that one scan is compared with; those seen last come first.
-const MOST_CANDIDATES: usize = 120;
-/// Standard deviations within which a candidate is looked for.
-const REACH_SIGMAS: f64 = 3.5;
 /// Part of the widening of a motion over the ground that its height, roll and pitch are widened by:
 /// stuck wheels and pushes move a robot over the ground, they do not lift it off.
 const WIDENED_OFF_GROUND: f64 = 0.25;
-/// Limits of what an uncertain pose may open: beyond them nearly everything would be a candidate.
-const MOST_OPEN_M: f64 = 20.0;
-const MOST_OPEN_RAD: f64 = 0.6;
 
 impl Prepared {
     /// The place of a landmark among the planes of the belief, if it is one of them.
@@ -82,7 +75,9 @@ impl Estimate {
             &arrival.motion,
             &motion_covariance,
         );
-        let (planes, candidates) = self.candidates(scan, &predicted, &pose_covariance, config);
+        let led = Led::by(&motion_covariance);
+        let window = Window::new(&predicted, &pose_covariance, led, &self.keyframes);
+        let (planes, candidates) = self.candidates(scan, &predicted, &window, config);
         let mut belief = self.belief(&planes, arrival, &predicted, &motion_covariance);
         if let Some(attitude) = arrival.attitude {
             let (residual, rows) =
@@ -149,57 +144,6 @@ impl Estimate {
         planes.iter().map(|&id| self.landmark(id).expect("candidates come from the map")).collect()
     }
 
-    /// For each observation the landmarks that its box reaches and that face it, as positions in the
-    /// list of all candidates.
-    fn candidates(
-        &self,
-        scan: &ScanObservations,
-        predicted: &Isometry3<f64>,
-        covariance: &Matrix6<f64>,
-        config: &AssociationConfig,
-    ) -> (Vec<LandmarkId>, Vec<Vec<usize>>) {
-        let spread = |range: std::ops::Range<usize>| {
-            REACH_SIGMAS * range.map(|i| covariance[(i, i)].max(0.0)).fold(0.0, f64::max).sqrt()
-        };
-        let (open_m, open_rad) = (spread(0..3).min(MOST_OPEN_M), spread(3..6).min(MOST_OPEN_RAD));
-        let least_facing = (config.max_angle_rad + open_rad).cos();
-        let lists: Vec<Vec<LandmarkId>> = scan
-            .observations
-            .iter()
-            .map(|observation| {
-                let reach = observation.robot_from_plane.translation.vector.norm();
-                let open = open_m + reach * open_rad;
-                let world = predicted * observation.robot_from_plane;
-                let normal = world.rotation * Vector3::z();
-                let points = observation.hull_points().map(|p| predicted * p);
-                let Some(bounds) = Bounds::around(points, config.max_gap_m + open) else {
-                    return Vec::new();
-                };
-                let fits = |landmark: &Landmark| {
-                    let apart = world.translation.vector - landmark.origin().coords;
-                    landmark.normal().dot(&normal) > least_facing
-                        && landmark.normal().dot(&apart).abs() < config.max_offset_m + open
-                };
-                let near = self.index.query(&bounds).into_iter().map(LandmarkId);
-                near.filter(|&id| self.landmark(id).is_some_and(fits)).collect()
-            })
-            .collect();
-        let mut all: Vec<LandmarkId> = lists.iter().flatten().copied().collect();
-        all.sort_unstable();
-        all.dedup();
-        if all.len() > MOST_CANDIDATES {
-            let last_seen = |id: LandmarkId| self.landmark(id).map_or(0, |l| l.last_keyframe);
-            all.sort_by_key(|&id| (std::cmp::Reverse(last_seen(id)), id));
-            all.truncate(MOST_CANDIDATES);
-            all.sort_unstable();
-        }
-        let positions = lists
-            .iter()
-            .map(|list| list.iter().filter_map(|id| all.binary_search(id).ok()).collect())
-            .collect();
-        (all, positions)
-    }
-
     /// Joint belief over the predicted pose and the candidates, beside the last keyframe.
     fn belief(
         &self,
@@ -209,8 +153,9 @@ impl Estimate {
         motion_covariance: &Matrix6<f64>,
     ) -> Belief {
         let before = self.last_pose();
+        let keys: Vec<Key> = planes.iter().map(|id| self.roots[id].key).collect();
         let frames: Vec<Isometry3<f64>> =
-            self.named(planes).iter().map(|landmark| landmark.world_from_plane).collect();
+            self.graph.values_now(&keys).iter().map(|value| *value.plane()).collect();
         let Some(last) = self.keyframes.last() else {
             let (start, motion) = (&self.start_covariance, &arrival.motion);
             let pose = predicted_covariance(&before, start, motion, motion_covariance);
@@ -218,8 +163,7 @@ impl Estimate {
             return Belief::new(*predicted, frames, &pose, arrival.scan.errors.any());
         };
         // The last keyframe twice: as the anchor, and as the pose that the motion leads on from.
-        let mut keys = vec![last.pose, last.pose];
-        keys.extend(planes.iter().map(|id| self.roots[id].key));
+        let keys: Vec<Key> = [last.pose, last.pose].into_iter().chain(keys).collect();
         let mut joint = self.graph.covariance(&keys);
         let f_x = first_jacobian(&before, predicted);
         let f_u = second_jacobian(&before);

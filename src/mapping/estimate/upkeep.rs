@@ -1,6 +1,7 @@
 //! What hangs on the solution: landmarks' frames and extents, the index, corrected keyframes.
 
 use super::Estimate;
+use super::candidates::Led;
 use crate::mapping::graph::Key;
 use crate::mapping::index::Bounds;
 use crate::mapping::innovation::Innovation;
@@ -79,6 +80,9 @@ impl Estimate {
         }
         self.draw_newest();
         self.extend_curves(report, &scan.curves);
+        if let Some(covariance) = self.motion_covariance(number.saturating_sub(1), number) {
+            self.keyframes[number].led = Led::by(&covariance);
+        }
         let touched: Vec<LandmarkId> = report
             .associations
             .iter()
