@@ -43,6 +43,9 @@ pub fn format(trajectory: &[TimedPose]) -> String {
     text
 }
 
+/// Coordinates beyond this are no place on Earth, and their squares no weights.
+const FARTHEST_M: f64 = 1e8;
+
 /// The trajectory of a text.
 ///
 /// # Errors
@@ -72,6 +75,9 @@ pub fn parse(text: &str) -> Result<Vec<TimedPose>, TumError> {
                 numbers.len()
             )));
         };
+        if [x, y, z].iter().any(|coordinate| coordinate.abs() > FARTHEST_M) {
+            return Err(fail(format!("a position farther than {FARTHEST_M:e} m from the origin")));
+        }
         let quaternion = Quaternion::new(qw, qx, qy, qz);
         if quaternion.norm() < 1e-6 {
             return Err(fail("the quaternion is zero".into()));
@@ -89,6 +95,13 @@ pub fn parse(text: &str) -> Result<Vec<TimedPose>, TumError> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn a_place_beyond_the_earth_is_refused_with_its_line() {
+        let error = parse("0 0 0 0 0 0 0 1\n1 0 -1e300 0 0 0 0 1\n").unwrap_err();
+        assert_eq!(error.line, 2);
+        assert!(error.to_string().contains("origin"), "{error}");
+    }
 
     proptest! {
         #[test]

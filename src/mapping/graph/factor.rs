@@ -236,10 +236,13 @@ fn plane_rows(
     });
     let innovation = Innovation::as_observed(plane, pose, &corrected);
     let noise = innovation.h_z * covariance * innovation.h_z.transpose();
+    // Where odometry leaps by kilometres a pose may be linearised with a plane edge on: the noise is
+    // then told as if both lay flat on one another.
     let weight = ((noise + noise.transpose()) * 0.5)
         .cholesky()
+        .or_else(|| covariance.cholesky())
         .and_then(|cholesky| cholesky.l().solve_lower_triangular(&Matrix3::identity()))
-        .expect("an observation's covariance is positive and h_z regular within the angle gate");
+        .expect("an observation's covariance is positive");
     let mut jacobian = DMatrix::zeros(3, if common.is_some() { 13 } else { 9 });
     jacobian.fixed_view_mut::<3, 6>(0, 0).copy_from(&(weight * innovation.h_x));
     jacobian.fixed_view_mut::<3, 3>(0, 6).copy_from(&(weight * innovation.h_f));
