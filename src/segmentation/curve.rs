@@ -39,7 +39,7 @@ const KEPT_SHARE: f64 = 0.7;
 const TRIMS: usize = 3;
 
 /// Most sticks of a facet that a guess looks at, evenly taken.
-const GUESS_STICKS: usize = 12;
+const GUESS_STICKS: usize = 20;
 /// Mean square error of the best part of the facets beyond which trimming does not save a guess.
 const HOPELESS: f64 = 40.0;
 

@@ -5,7 +5,6 @@ use super::moments::Moments;
 use super::morphology::neighbours8;
 use super::near::Rim;
 use super::noise::ReadingErrors;
-use super::pairs::{Touching, sort};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rise of the error, in units of the noise, that a merge may always cost: three parameters and an
@@ -13,13 +12,18 @@ use pulp::{Arch, Simd, WithSimd};
 const FREE_RISE: f64 = 25.0;
 /// Further rise per reading of the smaller region: surfaces and sensors are not perfect.
 const RISE_PER_READING: f64 = 0.1;
+/// Pairs that are remembered while others are listed.
+const LATELY: usize = 256;
 
 /// Merges regions, which are numbered from 1.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Merger {
     /// Regions that touch, each pair once, the smaller number first.
     pub pairs: Vec<(u32, u32)>,
-    touching: Touching,
+    /// Pairs that were listed lately, each at a place that its labels give: most come again, the last one
+    /// above all.
+    lately: [(u32, u32); LATELY],
+    last: (u32, u32),
     parents: Vec<u32>,
     costs: Vec<f64>,
     /// Round in which each region last took another in.
@@ -67,18 +71,32 @@ fn is_region(label: u32) -> bool {
     label != 0 && label != NO_RETURN
 }
 
+impl Default for Merger {
+    fn default() -> Self {
+        Self {
+            pairs: Vec::new(),
+            lately: [(0, 0); LATELY],
+            last: (0, 0),
+            parents: Vec::new(),
+            costs: Vec::new(),
+            grew: Vec::new(),
+            moved: Vec::new(),
+        }
+    }
+}
+
 impl Merger {
-    /// Lists the pairs of labels that touch in an image, corners included; all are below `count`.
-    /// `borders` holds the cells at which labels meet, `rim` those at the image's.
-    pub fn pairs_of_labels(
-        &mut self,
-        labels: &[u32],
-        count: usize,
-        width: usize,
-        rim: &Rim,
-        borders: &[u32],
-    ) {
-        self.touching.start(count);
+    /// Forgets all pairs.
+    pub fn clear_pairs(&mut self) {
+        self.pairs.clear();
+        self.lately.fill((0, 0));
+        self.last = (0, 0);
+    }
+
+    /// Lists the pairs of labels that touch in an image, corners included. `borders` holds the cells
+    /// at which labels meet, `rim` those at the image's.
+    pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize, rim: &Rim, borders: &[u32]) {
+        self.clear_pairs();
         for &cell in borders {
             let cell = cell as usize;
             let label = labels[cell];
@@ -88,21 +106,45 @@ impl Merger {
             // The neighbours before it have looked at it.
             if rim.is_on(cell) {
                 let near = neighbours8(cell, width, labels.len()).filter(|&n| n > cell);
-                self.touching.add(label, near.map(|n| labels[n]));
+                near.for_each(|n| self.push_pair(label, labels[n]));
             } else {
                 let below = &labels[cell + width - 1..cell + width + 2];
                 let others = [labels[cell + 1], below[0], below[1], below[2]];
-                self.touching.add(label, others.into_iter());
+                let mut last = label;
+                for other in others {
+                    // Mostly the cell's own, or the same again.
+                    if (other != label) & (other != last) {
+                        self.push_pair(label, other);
+                    }
+                    last = other;
+                }
             }
         }
-        self.touching.list(&mut self.pairs);
+        self.sort_pairs();
     }
 
-    /// Lists pairs of regions below `count` that `find` finds to touch.
-    pub fn list_pairs(&mut self, count: usize, find: impl FnOnce(&mut Touching)) {
-        self.touching.start(count);
-        find(&mut self.touching);
-        self.touching.list(&mut self.pairs);
+    /// Adds a pair of labels unless they are equal or one is none.
+    #[inline]
+    pub fn push_pair(&mut self, a: u32, b: u32) {
+        if a == b || (a, b) == self.last {
+            return;
+        }
+        self.last = (a, b);
+        if !is_region(a) || !is_region(b) {
+            return;
+        }
+        let pair = (a.min(b), a.max(b));
+        let lately = &mut self.lately[(pair.0 * 37 + pair.1) as usize % LATELY];
+        if *lately != pair {
+            *lately = pair;
+            self.pairs.push(pair);
+        }
+    }
+
+    pub fn sort_pairs(&mut self) {
+        // One comparison of a number for each pair.
+        self.pairs.sort_unstable_by_key(|&(a, b)| u64::from(a) << 32 | u64::from(b));
+        self.pairs.dedup();
     }
 
     /// Merges the listed pairs as long as one plane explains both of two regions, in the order of
@@ -153,7 +195,7 @@ impl Merger {
             self.pairs[i] = (a.min(b), a.max(b));
         }
         self.pairs.retain(|&(a, b)| a != b);
-        sort(&mut self.pairs);
+        self.sort_pairs();
     }
 
     /// Replaces labels by those of the regions that theirs have become part of.

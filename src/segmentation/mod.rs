@@ -29,7 +29,6 @@ mod noise;
 mod noise_estimate;
 mod noise_model;
 mod outermost;
-mod pairs;
 mod paper;
 mod residual;
 mod run;
@@ -173,7 +172,7 @@ impl Segmenter {
         let Some(rounding) = grid.rounding() else { return errors };
         let [down, right, patch] = rounding.runs(grid.columns());
         let run = if self.field.transposed { right } else { down };
-        let [nearest, _] = self.field.extent;
+        let [nearest, _] = self.field.extent();
         errors.cut(rounding, (run, patch), f64::from(nearest))
     }
 

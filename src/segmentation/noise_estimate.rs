@@ -37,7 +37,7 @@ const COUNTED: usize = 8;
 const FEWEST: f64 = 60.0;
 /// About how many samples are taken of a scan: of next neighbours, which tell the
 /// variance to 2 %, and of others, which only have to tell whether theirs is much larger.
-const SAMPLES: usize = 6_000;
+const SAMPLES: usize = 10_000;
 const FAR_SAMPLES: usize = 3_000;
 /// Widest pitch of the differences that tell how far errors are alike: 2.3°, with four of them less
 /// than most things are wide; and in cells.
@@ -220,7 +220,7 @@ impl NoiseEstimator {
     /// angle, which shows with the slope of the surfaces, and if not, over how many cells the errors
     /// are alike.
     pub fn estimate(&mut self, field: &Field) -> ReadingErrors {
-        let [nearest, farthest] = field.extent;
+        let [nearest, farthest] = field.extent();
         let span = (nearest, RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3));
         if field.knows_row_errors() {
             let (down, right) = if field.transposed { (1, 0) } else { (0, 1) };

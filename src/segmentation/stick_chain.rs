@@ -92,8 +92,7 @@ impl StickChain {
                 self.moments[now as usize].add_point(point, weight);
             }
         }
-        let (count, border) = (self.moments.len(), &self.competition.border);
-        self.merger.pairs_of_labels(labels, count, field.lanes, &field.rim, border);
+        self.merger.pairs_of_labels(labels, field.lanes, &field.rim, &self.competition.border);
         let models = &self.curves.models;
         self.merger
             .merge(&mut self.moments, &field.errors, |label| models[label as usize].is_none());

@@ -10,18 +10,6 @@ use nalgebra::Vector3;
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 use std::ops::Range;
 
-/// Most readings of a vector, and ones for those that are there, zeros for those that are not.
-const WIDEST: usize = 16;
-const PRESENT: [f32; 2 * WIDEST] = {
-    let mut present = [0.0; 2 * WIDEST];
-    let mut place = 0;
-    while place < WIDEST {
-        present[place] = 1.0;
-        place += 1;
-    }
-    present
-};
-
 /// Relative error beyond which a reading's place on the plane is not followed.
 const FARTHEST: f32 = 0.5;
 
@@ -151,7 +139,7 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
         let Self { reference, columns, runs, packed } = self;
         let about = About::of(simd, &reference);
         let Columns { x, y, z, inverse, gain, fit_gain } = columns;
-        let (columns, x_column) = ([x, y, z, inverse, gain, fit_gain], x);
+        let columns = [x, y, z, inverse, gain, fit_gain];
         let mut sums = PlaneSums { reference, totals: [0.0; place::COUNT], readings: 0 };
         let mut own = [simd.splat_f32s(0.0); 6];
         packed.count = 0;
@@ -171,18 +159,7 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
             let rest = run.len() % S::F32_LANES;
             if rest > 0 {
                 // What is not of the run is no return.
-                let end = run.end - rest + S::F32_LANES;
-                let readings = if end <= x_column.len() {
-                    let present = &PRESENT[WIDEST - rest..][..S::F32_LANES];
-                    let present = S::as_simd_f32s(present).0[0];
-                    let [x, y, z, inverse, gain, fit_gain] = columns
-                        .map(|column| S::as_simd_f32s(&column[end - S::F32_LANES..end]).0[0]);
-                    let [inverse, gain, fit_gain] =
-                        [inverse, gain, fit_gain].map(|column| mul(simd, column, present));
-                    [x, y, z, inverse, gain, fit_gain]
-                } else {
-                    parts.map(|(_, rest)| simd.partial_load_f32s(rest))
-                };
+                let readings = parts.map(|(_, rest)| simd.partial_load_f32s(rest));
                 packed.put(simd, look(simd, &about, readings, &mut own), rest);
                 if packed.count >= Packed::FULL {
                     add_up(simd, packed, &mut own, &mut sums.totals);
