@@ -20,10 +20,8 @@ const LATELY: usize = 256;
 pub(super) struct Merger {
     /// Regions that touch, each pair once, the smaller number first.
     pub pairs: Vec<(u32, u32)>,
-    /// Pairs that were listed lately, each at a place that its labels give: most come again, the last one
-    /// above all.
+    /// Pairs that were listed lately, each at a place that its labels give: most come again.
     lately: [(u32, u32); LATELY],
-    last: (u32, u32),
     parents: Vec<u32>,
     costs: Vec<f64>,
     /// Round in which each region last took another in.
@@ -76,7 +74,6 @@ impl Default for Merger {
         Self {
             pairs: Vec::new(),
             lately: [(0, 0); LATELY],
-            last: (0, 0),
             parents: Vec::new(),
             costs: Vec::new(),
             grew: Vec::new(),
@@ -90,7 +87,6 @@ impl Merger {
     pub fn clear_pairs(&mut self) {
         self.pairs.clear();
         self.lately.fill((0, 0));
-        self.last = (0, 0);
     }
 
     /// Lists the pairs of labels that touch in an image, corners included. `borders` holds the cells
@@ -124,13 +120,8 @@ impl Merger {
     }
 
     /// Adds a pair of labels unless they are equal or one is none.
-    #[inline]
     pub fn push_pair(&mut self, a: u32, b: u32) {
-        if a == b || (a, b) == self.last {
-            return;
-        }
-        self.last = (a, b);
-        if !is_region(a) || !is_region(b) {
+        if a == b || !is_region(a) || !is_region(b) {
             return;
         }
         let pair = (a.min(b), a.max(b));
