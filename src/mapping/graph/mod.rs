@@ -71,7 +71,7 @@ pub struct GraphConfig {
 
 impl Default for GraphConfig {
     fn default() -> Self {
-        Self { nonlinear_m: 5e-6, negligible: 2e-5, max_rounds: 6 }
+        Self { nonlinear_m: 5e-5, negligible: 2e-5, max_rounds: 6 }
     }
 }
 
