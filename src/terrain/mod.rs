@@ -18,6 +18,7 @@ mod ground;
 mod lattice;
 mod project;
 mod rays;
+mod slit;
 mod surface;
 
 pub use config::{RobotShape, TRIED_M, TerrainConfig};
@@ -164,9 +165,10 @@ impl Terrain {
         let mut window = self.window(&fans, &floor);
         let mut told = Integrated::default();
         for fan in &fans {
-            let labels = ground::label(fan, &floor, &self.config, &self.shape, |p, sigma_m| {
+            let mut labels = ground::label(fan, &floor, &self.config, &self.shape, |p, sigma_m| {
                 self.ground_is_known(p, sigma_m)
             });
+            slit::find(fan, &floor, &self.config, &self.shape, &mut labels);
             self.observe_ground(fan, &labels, &mut told);
             self.trace(fan, &labels, &floor, &mut window);
             told.missing_ground += labels.missing.len();

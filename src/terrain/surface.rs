@@ -111,6 +111,11 @@ impl GroundCell {
 
     /// Takes in one observation of ground.
     pub fn observe(&mut self, seen: &Observation) {
+        // Where ground was seen to be missing, ground on both sides proves nothing.
+        let near_void = (seen.z_m - f64::from(self.void_z_m)).abs() < RIVAL_M;
+        if self.void == Void::Proven && seen.seen == Seen::Interpolated && near_void {
+            return;
+        }
         match self.matching(seen) {
             Some(index) => self.surfaces[index].fuse(seen),
             None => self.add(seen),
@@ -120,7 +125,7 @@ impl GroundCell {
             Void::Suspected => seen.seen >= Seen::Interpolated,
             Void::Proven => seen.seen == Seen::Measured,
         };
-        if clears && (seen.z_m - f64::from(self.void_z_m)).abs() < RIVAL_M {
+        if clears && near_void {
             self.void = Void::None;
         }
     }
@@ -198,8 +203,21 @@ impl GroundCell {
         }
     }
 
-    /// Marks that ground at `z_m` was due here and is missing. Ground that was seen stays.
+    /// Marks that ground at `z_m` was due here and is missing. Ground that was measured or stood on
+    /// stays; what was only interpolated goes where a ray proves it wrong.
     pub fn mark_void(&mut self, z_m: f64, void: Void) {
+        if void == Void::Proven {
+            let mut index = 0;
+            while index < usize::from(self.count) {
+                let surface = &self.surfaces[index];
+                let here = (f64::from(surface.z_m) - z_m).abs() <= OTHER_SURFACE_M;
+                if here && surface.seen == Seen::Interpolated {
+                    self.remove(index);
+                } else {
+                    index += 1;
+                }
+            }
+        }
         if self.nearest(z_m, OTHER_SURFACE_M).is_none() && void >= self.void {
             self.void = void;
             self.void_z_m = z_m as f32;
@@ -270,6 +288,23 @@ mod tests {
         }
         assert_eq!(cell.surfaces().len(), 2);
         assert!((cell.nearest(0.0, 0.1).unwrap().z_m).abs() < 0.02);
+    }
+
+    #[test]
+    fn a_proven_void_outlasts_interpolation_and_yields_to_measured_ground() {
+        let mut cell = GroundCell::default();
+        cell.observe(&ground(0.0, Seen::Interpolated, 1));
+        cell.mark_void(0.0, Void::Suspected);
+        assert_eq!((cell.surfaces().len(), cell.void), (1, Void::None));
+        cell.mark_void(0.0, Void::Proven);
+        cell.observe(&ground(0.0, Seen::Interpolated, 2));
+        assert_eq!((cell.surfaces().len(), cell.void), (0, Void::Proven));
+        // Another level is none of its business.
+        cell.observe(&ground(1.0, Seen::Interpolated, 2));
+        cell.observe(&ground(0.0, Seen::Measured, 3));
+        assert_eq!((cell.surfaces().len(), cell.void), (2, Void::None));
+        cell.mark_void(0.0, Void::Proven);
+        assert_eq!((cell.surfaces().len(), cell.void), (2, Void::None));
     }
 
     #[test]

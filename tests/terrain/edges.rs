@@ -320,3 +320,41 @@ fn a_world_turned_by_any_angle_is_judged_the_same() {
         assert!(called > 100, "{called}\n{}", draw(&grid.coarse(2)));
     }
 }
+
+/// A platform that ends at x = 2 m, a slit of the given width, and behind it a block whose top lies
+/// `rise` above the platform; all of it turned by `yaw` about a place on the platform.
+fn slit(width: f64, rise: f64, yaw: f64) -> World {
+    World::default()
+        .with(Solid::block([-10.0, -12.0, -3.0], [2.0, 12.0, 0.0]).turned(yaw, SLIT_CENTRE))
+        .with(Solid::block([2.0 + width, -1.5, -3.0], [2.6, 1.5, rise]).turned(yaw, SLIT_CENTRE))
+        .with(Solid::block([2.0, -12.0, -3.0], [9.0, 12.0, -1.0]).turned(yaw, SLIT_CENTRE))
+}
+
+const SLIT_CENTRE: [f64; 2] = [1.6, 0.0];
+
+#[test]
+fn a_slit_that_takes_a_wheel_is_not_driven_into_whatever_was_seen_from_afar() {
+    for rise in [0.05, 0.02, 0.0] {
+        for width in [0.10, 0.12, 0.15, 0.20] {
+            for yaw in [0.0_f64, 0.3, 0.7] {
+                let world = slit(width, rise, yaw);
+                let grid = swept(&world, &ahead(&[-1.5, 0.0, 0.6, 1.0]), &paper_tilts(), 0.01);
+                let (sin, cos) = yaw.sin_cos();
+                let entered = count(&grid, |x, y, _| {
+                    let (dx, dy) = (x - SLIT_CENTRE[0], y - SLIT_CENTRE[1]);
+                    let (u, v) = (dx * cos + dy * sin, dy * cos - dx * sin);
+                    // Where the robot's middle may be, its wheels may be 0.25 m farther.
+                    (0.2..0.4 + width).contains(&u)
+                        && v.abs() < 1.0
+                        && grid.get(grid.cell_of(x, y)).reachable
+                });
+                assert_eq!(
+                    entered,
+                    0,
+                    "{width} m, {rise} m up, {yaw} rad\n{}",
+                    draw_around(&grid, 1.2, 0.0, 1.9)
+                );
+            }
+        }
+    }
+}
