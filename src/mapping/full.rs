@@ -30,6 +30,12 @@ const WIDENING: f64 = 6.5;
 const FEW_PAIRS: usize = 3;
 /// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
 const LOG_SELDOM: f64 = -7.0;
+/// The same for a motion that tells nothing: a robot lifted and set down elsewhere, wheels that ran free.
+const LOG_LOST: f64 = -14.0;
+/// Rise of a normal, seen by the robot, above which a plane is level.
+const LEVEL: f64 = 0.8;
+/// Share of a scan's upright area below which it may have been made elsewhere altogether.
+const LOST_SHARE: f64 = 0.25;
 /// Logarithm of how seldom a scan in the midst of a map shows nothing of it. Without it the pairs of a
 /// scan that shows three planes would be left out as often as noise makes all of them miss widely.
 const LOG_UNRECOGNISED: f64 = -5.0;
@@ -155,7 +161,16 @@ impl Full {
         let few = !estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS);
         let large = found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD);
         let place = prepared.len();
-        let plainly = !few && !large && plain.assignments.len() == 1 && self.hypotheses.len() == 1;
+        let elsewhere = if few || upright_share(found, arrival.scan) < LOST_SHARE {
+            estimate.elsewhere(arrival, &found.belief.world_from_robot)
+        } else {
+            Vec::new()
+        };
+        let plainly = !few
+            && !large
+            && elsewhere.is_empty()
+            && plain.assignments.len() == 1
+            && self.hypotheses.len() == 1;
         if plainly {
             let assignment = found.clone();
             branches.push(Branch { parent, prepared: place, assignment, log_weight: 0.0 });
@@ -187,12 +202,20 @@ impl Full {
             pieces: 0.0,
         });
         prepared.push(plain);
+        let more = |claim: &Claim| claim.assignment.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
+        let before = claims.len();
         if few {
             let wide = estimate.prepare(arrival, config, WIDENING);
-            let more =
-                |claim: &Claim| claim.assignment.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
-            claims.extend(options(&wide, place + 1, LOG_SELDOM).into_iter().filter(more));
+            claims.extend(options(&wide, prepared.len(), LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
+        }
+        if claims.len() == before {
+            for world_from_robot in &elsewhere {
+                let there = estimate.prepare_at(arrival, config, world_from_robot);
+                let options = options(&there, prepared.len(), LOG_LOST).into_iter().filter(more);
+                claims.extend(options.map(|claim| Claim { far: true, ..claim }));
+                prepared.push(there);
+            }
         }
         let judged = judge(claims, estimate, prepared, arrival.scan);
         branches.extend(judged.into_iter().map(|(prepared, assignment, score)| Branch {
@@ -407,6 +430,17 @@ fn judge(
             (prepared, assignment, score)
         })
         .collect()
+}
+
+/// Share of a scan's upright area that an assignment recognises: floors and ceilings look alike anywhere.
+fn upright_share(assignment: &Assignment, scan: &ScanObservations) -> f64 {
+    let upright_m2 = |observation: usize| {
+        let seen = &scan.observations[observation];
+        if seen.normal().z.abs() < LEVEL { seen.area_m2() } else { 0.0 }
+    };
+    let recognised: f64 = assignment.pairs.iter().map(|pair| upright_m2(pair.0)).sum();
+    let whole: f64 = (0..scan.observations.len()).map(upright_m2).sum();
+    if whole > 0.0 { recognised / whole } else { 1.0 }
 }
 
 /// Whether an assignment recognises most of what a scan shows, in planes that fix all directions.

@@ -29,6 +29,7 @@ mod odometry;
 mod odometry_trust;
 pub mod perturbation;
 pub mod planar;
+mod recognise;
 mod report;
 mod rounding_errors;
 mod row_errors;

@@ -4,5 +4,6 @@ mod consistency;
 mod curves;
 mod drive;
 mod long_loop;
+mod recognition;
 mod situations;
 mod world;

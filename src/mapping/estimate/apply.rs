@@ -97,16 +97,16 @@ impl Estimate {
             Some(last) => Factor::Between {
                 before: last.pose,
                 after: pose,
-                before_from_after: arrival.motion,
+                before_from_after: prepared.motion,
                 covariance,
             },
             None => Factor::Prior {
                 pose,
-                world_from_robot: self.start * arrival.motion,
+                world_from_robot: self.start * prepared.motion,
                 covariance: predicted_covariance(
                     &self.start,
                     &self.start_covariance,
-                    &arrival.motion,
+                    &prepared.motion,
                     &covariance,
                 ),
             },

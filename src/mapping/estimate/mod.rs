@@ -58,6 +58,8 @@ pub(super) struct Prepared {
     common: Vec<Option<Matrix3x4<f64>>>,
     /// Of each observation's mask the cells that are compared with a landmark's.
     samples: Vec<Vec<Point2<f64>>>,
+    /// The motion that led there, and what the graph is told that it may be off by.
+    motion: Isometry3<f64>,
     motion_covariance: Matrix6<f64>,
 }
 

@@ -10,12 +10,29 @@ use crate::mapping::graph::{Key, scaled_errors};
 use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
+use crate::mapping::recognise::recognise;
 use crate::mapping::scan_errors::{ScanObservations, common_error_jacobian};
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
 
 /// Part of the widening of a motion over the ground that its height, roll and pitch are widened by:
 /// stuck wheels and pushes move a robot over the ground, they do not lift it off.
 const WIDENED_OFF_GROUND: f64 = 0.25;
+
+/// Standard deviations about a place where a scan was recognised, within which pairs are sought, and those
+/// with which the motion that led there is known: not at all.
+const ABOUT_M: f64 = 0.15;
+const ABOUT_RAD: f64 = 0.03;
+const UP_M: f64 = 0.03;
+const ANYWHERE_M: f64 = 10.0;
+const ANYWHERE_RAD: f64 = 1.0;
+/// A place this near to another is the same.
+const APART_M: f64 = 0.3;
+const APART_RAD: f64 = 0.1;
+
+fn moves_apart(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
+    let gap = a.inverse() * b;
+    gap.translation.vector.norm() > APART_M || gap.rotation.angle() > APART_RAD
+}
 
 impl Prepared {
     /// The place of a landmark among the planes of the belief, if it is one of them.
@@ -62,23 +79,64 @@ impl Estimate {
         config: &AssociationConfig,
         widening: f64,
     ) -> Prepared {
-        let scan = arrival.scan;
         let off = (WIDENED_OFF_GROUND * widening).max(1.0);
         let widened =
             Matrix6::from_diagonal(&Vector6::new(widening, widening, off, off, off, widening));
         let motion_covariance = widened * arrival.motion_covariance * widened;
+        let predicted = self.last_pose() * arrival.motion;
+        self.prepare_after(arrival, config, arrival.motion, motion_covariance, predicted)
+    }
+
+    /// The places other than `world_from_robot` where the scan fits the map.
+    pub(in crate::mapping) fn elsewhere(
+        &self,
+        arrival: &Arrival<'_>,
+        world_from_robot: &Isometry3<f64>,
+    ) -> Vec<Isometry3<f64>> {
+        let found = recognise(&arrival.scan.observations, &self.landmarks, world_from_robot);
+        let places = found.into_iter().map(|found| found.world_from_robot);
+        places.filter(|place| moves_apart(place, world_from_robot)).collect()
+    }
+
+    /// [`prepare`](Self::prepare) for a scan that was recognised at a place: what odometry says of the way
+    /// there is not believed, but for roll, pitch and height.
+    pub(in crate::mapping) fn prepare_at(
+        &self,
+        arrival: &Arrival<'_>,
+        config: &AssociationConfig,
+        world_from_robot: &Isometry3<f64>,
+    ) -> Prepared {
+        let motion = self.last_pose().inverse() * world_from_robot;
+        let spread = |level_m: f64, turn_rad: f64| {
+            let mut covariance = arrival.motion_covariance;
+            for (component, sigma) in [(0, level_m), (1, level_m), (2, UP_M), (5, turn_rad)] {
+                covariance[(component, component)] += sigma * sigma;
+            }
+            covariance
+        };
+        let about = spread(ABOUT_M, ABOUT_RAD);
+        let prepared = self.prepare_after(arrival, config, motion, about, *world_from_robot);
+        // The search looks about the place; that the robot is there only the pairs may tell the graph.
+        Prepared { motion_covariance: spread(ANYWHERE_M, ANYWHERE_RAD), ..prepared }
+    }
+
+    /// [`prepare`](Self::prepare) after a motion that led to `predicted`.
+    fn prepare_after(
+        &self,
+        arrival: &Arrival<'_>,
+        config: &AssociationConfig,
+        motion: Isometry3<f64>,
+        motion_covariance: Matrix6<f64>,
+        predicted: Isometry3<f64>,
+    ) -> Prepared {
+        let scan = arrival.scan;
         let before = self.last_pose();
-        let predicted = before * arrival.motion;
-        let pose_covariance = predicted_covariance(
-            &before,
-            &self.last_covariance(),
-            &arrival.motion,
-            &motion_covariance,
-        );
+        let pose_covariance =
+            predicted_covariance(&before, &self.last_covariance(), &motion, &motion_covariance);
         let led = Led::by(&motion_covariance);
         let window = Window::new(&predicted, &pose_covariance, led, &self.keyframes);
         let (planes, candidates) = self.candidates(scan, &predicted, &window, config);
-        let mut belief = self.belief(&planes, arrival, &predicted, &motion_covariance);
+        let mut belief = self.belief(&planes, arrival, &motion, &predicted, &motion_covariance);
         if let Some(attitude) = arrival.attitude {
             let (residual, rows) =
                 attitude_rows(&belief.world_from_robot, attitude.roll_rad, attitude.pitch_rad);
@@ -94,6 +152,7 @@ impl Estimate {
             planes,
             common,
             samples,
+            motion,
             motion_covariance,
         };
         self.associate(arrival, config, &mut prepared, 0);
@@ -149,6 +208,7 @@ impl Estimate {
         &self,
         planes: &[LandmarkId],
         arrival: &Arrival<'_>,
+        motion: &Isometry3<f64>,
         predicted: &Isometry3<f64>,
         motion_covariance: &Matrix6<f64>,
     ) -> Belief {
@@ -157,7 +217,7 @@ impl Estimate {
         let frames: Vec<Isometry3<f64>> =
             self.graph.values_now(&keys).iter().map(|value| *value.plane()).collect();
         let Some(last) = self.keyframes.last() else {
-            let (start, motion) = (&self.start_covariance, &arrival.motion);
+            let start = &self.start_covariance;
             let pose = predicted_covariance(&before, start, motion, motion_covariance);
             let pose = DMatrix::from_column_slice(6, 6, pose.as_slice());
             return Belief::new(*predicted, frames, &pose, arrival.scan.errors.any());

@@ -1,0 +1,309 @@
+//! Places recognised by the geometry of planes alone: by the angles between them, their distances and
+//! their extents, wherever odometry says the robot is.
+//!
+//! The robot knows which way is up. Two upright planes that are no parallels, taken for two landmarks
+//! that enclose the same angle, then tell heading and place; every such pair of pairs votes, and the
+//! places with most votes are held against all planes of the scan. What is found here proposes where a
+//! scan may have been made; whether it was is for the association and the map to say.
+
+use super::landmark::Landmark;
+use super::observation::Observation;
+use crate::geometry::wrap_pi;
+use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2, Vector3};
+use std::collections::BTreeMap;
+
+/// A normal's rise above which a plane is level, and below which it is upright.
+const LEVEL: f64 = 0.9;
+const UPRIGHT: f64 = 0.3;
+/// Upright planes of the scan that vote, the largest first, and those that any vote must contain one of.
+const VOTERS: usize = 8;
+const LEADERS: usize = 3;
+/// Smallest angle between two planes that fix a place together.
+const LEAST_ANGLE_RAD: f64 = 0.35;
+/// What directions, rises and distances may differ by.
+const ANGLE_RAD: f64 = 0.03;
+const RISE: f64 = 0.05;
+const OFFSET_M: f64 = 0.10;
+/// How far a plane's middle may lie beyond the extent of the landmark that it is taken for, in metres.
+const BEYOND_M: f64 = 0.3;
+/// Votes within this are for one place.
+const CELL_M: f64 = 0.3;
+const CELL_RAD: f64 = 0.05;
+/// Places that are held against the whole scan, the most voted for first.
+const MOST_HELD: usize = 40;
+/// Places at least this far apart, or turned by this much, are different ones.
+const APART_M: f64 = 0.5;
+const APART_RAD: f64 = 0.15;
+/// Most places that are told.
+const MOST_TOLD: usize = 3;
+/// Planes that must fit, and their share of the area of all that could.
+const LEAST_FITTING: usize = 4;
+const LEAST_SHARE: f64 = 0.4;
+
+/// A place where a scan fits the map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Recognised {
+    /// The robot there, to a few centimetres and degrees.
+    pub(super) world_from_robot: Isometry3<f64>,
+    /// Share of the area of the scan's planes that fits landmarks.
+    pub(super) share: f64,
+}
+
+/// The places where a scan fits the map, the best first. Of `predicted` only roll, pitch and, where no
+/// floor tells it, the height are believed.
+///
+/// Costs about `n²/64` votes for each pair of [`VOTERS`] in a map of n upright landmarks; asked only
+/// when a scan is not recognised where it should be.
+pub(super) fn recognise(
+    scan: &[Observation],
+    landmarks: &[Landmark],
+    predicted: &Isometry3<f64>,
+) -> Vec<Recognised> {
+    let seen = Planes::of_scan(scan, &predicted.rotation);
+    let map = Planes::of_map(landmarks);
+    let mut votes: BTreeMap<(i32, i32, i32), (f64, Place)> = BTreeMap::new();
+    for (first, a) in seen.upright.iter().take(LEADERS).enumerate() {
+        for b in seen.upright.iter().take(VOTERS).skip(first + 1) {
+            let between = wrap_pi(b.azimuth_rad - a.azimuth_rad);
+            if !(LEAST_ANGLE_RAD..std::f64::consts::PI - LEAST_ANGLE_RAD).contains(&between.abs()) {
+                continue;
+            }
+            map.places(a, b, |place| {
+                let weight = (a.area_m2.min(b.area_m2)).sqrt();
+                let key = place.cell();
+                votes.entry(key).or_insert((0.0, place)).0 += weight;
+            });
+        }
+    }
+    let mut places: Vec<(f64, Place)> = votes.into_values().collect();
+    places.sort_by(|a, b| b.0.total_cmp(&a.0));
+    places.truncate(MOST_HELD);
+    let mut found: Vec<Recognised> = Vec::new();
+    for (_, place) in places {
+        let Some(recognised) = map.held_against(&seen, &place, predicted) else { continue };
+        let same = |other: &Recognised| {
+            let gap = other.world_from_robot.inverse() * recognised.world_from_robot;
+            gap.translation.vector.norm() < APART_M && gap.rotation.angle() < APART_RAD
+        };
+        match found.iter_mut().find(|other| same(other)) {
+            Some(other) if other.share < recognised.share => *other = recognised,
+            Some(_) => {}
+            None => found.push(recognised),
+        }
+    }
+    found.sort_by(|a, b| b.share.total_cmp(&a.share));
+    found.truncate(MOST_TOLD);
+    found
+}
+
+/// Where the robot stands and heads beside the predicted attitude.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    /// Turn about the vertical, after the predicted attitude.
+    turn_rad: f64,
+    at: Vector2<f64>,
+}
+
+impl Place {
+    fn cell(&self) -> (i32, i32, i32) {
+        let cell = |x: f64, size: f64| (x / size).round().clamp(-1e9, 1e9) as i32;
+        let turn_rad = wrap_pi(self.turn_rad);
+        (cell(turn_rad, CELL_RAD), cell(self.at.x, CELL_M), cell(self.at.y, CELL_M))
+    }
+}
+
+/// A plane in a frame whose z points up.
+struct Upright {
+    azimuth_rad: f64,
+    rise: f64,
+    /// Direction of the normal over the ground, and the plane's distance along it.
+    normal: Vector2<f64>,
+    offset_m: f64,
+    /// Middle and half-length along the ground; middle and half-height.
+    middle: Vector2<f64>,
+    half_length_m: f64,
+    middle_z_m: f64,
+    half_height_m: f64,
+    area_m2: f64,
+}
+
+/// A plane that lies, in a frame whose z points up.
+struct Level {
+    from_above: bool,
+    z_m: f64,
+    middle: Vector2<f64>,
+    radius_m: f64,
+    area_m2: f64,
+}
+
+struct Planes {
+    /// Of a scan by area, of a map by azimuth.
+    upright: Vec<Upright>,
+    level: Vec<Level>,
+}
+
+impl Planes {
+    fn of_scan(scan: &[Observation], attitude: &UnitQuaternion<f64>) -> Self {
+        let mut planes = Self { upright: Vec::new(), level: Vec::new() };
+        for seen in scan {
+            let normal = attitude * seen.normal();
+            let corners: Vec<Vector3<f64>> =
+                seen.hull_points().map(|p| attitude * p.coords).collect();
+            planes.add(&normal, &corners, seen.area_m2());
+        }
+        planes.upright.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
+        planes
+    }
+
+    fn of_map(landmarks: &[Landmark]) -> Self {
+        let mut planes = Self { upright: Vec::new(), level: Vec::new() };
+        for landmark in landmarks {
+            let corners: Vec<Vector3<f64>> = landmark.hull_points().map(|p| p.coords).collect();
+            planes.add(&landmark.normal(), &corners, landmark.area_m2());
+        }
+        planes.upright.sort_by(|a, b| a.azimuth_rad.total_cmp(&b.azimuth_rad));
+        planes
+    }
+
+    fn add(&mut self, normal: &Vector3<f64>, corners: &[Vector3<f64>], area_m2: f64) {
+        if corners.is_empty() {
+            return;
+        }
+        let (low, high) = corners
+            .iter()
+            .fold((corners[0], corners[0]), |(low, high), p| (low.inf(p), high.sup(p)));
+        let middle = 0.5 * (low + high);
+        if normal.z.abs() > LEVEL {
+            self.level.push(Level {
+                from_above: normal.z > 0.0,
+                z_m: middle.z,
+                middle: middle.xy(),
+                radius_m: 0.5 * (high - low).xy().norm(),
+                area_m2,
+            });
+        } else if normal.z.abs() < UPRIGHT {
+            let flat = normal.xy().normalize();
+            let along = Vector2::new(-flat.y, flat.x);
+            let (least, most) = corners
+                .iter()
+                .map(|p| along.dot(&p.xy()))
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), x| {
+                    (least.min(x), most.max(x))
+                });
+            let offset_m =
+                corners.iter().map(|p| flat.dot(&p.xy())).sum::<f64>() / corners.len() as f64;
+            self.upright.push(Upright {
+                azimuth_rad: flat.y.atan2(flat.x),
+                rise: normal.z,
+                normal: flat,
+                offset_m,
+                middle: flat * offset_m + along * (0.5 * (least + most)),
+                half_length_m: 0.5 * (most - least),
+                middle_z_m: middle.z,
+                half_height_m: 0.5 * (high.z - low.z),
+                area_m2,
+            });
+        }
+    }
+
+    /// Calls `emit` with each place where `a` and `b` of a scan fit two landmarks.
+    fn places(&self, a: &Upright, b: &Upright, mut emit: impl FnMut(Place)) {
+        for first in self.upright.iter().filter(|first| (first.rise - a.rise).abs() < RISE) {
+            let turn_rad = wrap_pi(first.azimuth_rad - a.azimuth_rad);
+            let turn = nalgebra::Rotation2::new(turn_rad);
+            for second in self.facing(b.azimuth_rad + turn_rad) {
+                if (second.rise - b.rise).abs() >= RISE {
+                    continue;
+                }
+                // n · (turn p + at) = offset for both.
+                let rows =
+                    Matrix2::from_rows(&[first.normal.transpose(), second.normal.transpose()]);
+                let gaps = Vector2::new(first.offset_m - a.offset_m, second.offset_m - b.offset_m);
+                let Some(at) = rows.try_inverse().map(|inverse| inverse * gaps) else { continue };
+                let lies =
+                    |seen: &Upright, landmark: &Upright| landmark.spans(&(turn * seen.middle + at));
+                if lies(a, first) && lies(b, second) {
+                    emit(Place { turn_rad, at });
+                }
+            }
+        }
+    }
+
+    /// The upright planes whose normals point in a direction over the ground.
+    fn facing(&self, azimuth_rad: f64) -> impl Iterator<Item = &Upright> {
+        let azimuth_rad = wrap_pi(azimuth_rad);
+        let within = |low: f64, high: f64| {
+            let from = self.upright.partition_point(|plane| plane.azimuth_rad < low);
+            let to = self.upright.partition_point(|plane| plane.azimuth_rad <= high);
+            &self.upright[from..to.max(from)]
+        };
+        let (low, high) = (azimuth_rad - ANGLE_RAD, azimuth_rad + ANGLE_RAD);
+        let turn = std::f64::consts::TAU;
+        within(low, high)
+            .iter()
+            .chain(within(low + turn, high + turn))
+            .chain(within(low - turn, high - turn))
+    }
+
+    /// The robot at a place if enough of what it saw fits there.
+    fn held_against(
+        &self,
+        seen: &Self,
+        place: &Place,
+        predicted: &Isometry3<f64>,
+    ) -> Option<Recognised> {
+        let turn = nalgebra::Rotation2::new(place.turn_rad);
+        let up_m = self.height(seen, place).unwrap_or(predicted.translation.z);
+        let whole: f64 = seen.upright.iter().map(|plane| plane.area_m2).sum();
+        let (mut fitting, mut area_m2) = (0, 0.0);
+        for plane in &seen.upright {
+            let middle = turn * plane.middle + place.at;
+            let fits = self.facing(plane.azimuth_rad + place.turn_rad).any(|landmark| {
+                (landmark.rise - plane.rise).abs() < RISE
+                    && (landmark.normal.dot(&middle) - landmark.offset_m).abs() < OFFSET_M
+                    && landmark.spans(&middle)
+                    && (landmark.middle_z_m - plane.middle_z_m - up_m).abs()
+                        < landmark.half_height_m + BEYOND_M
+            });
+            if fits {
+                fitting += 1;
+                area_m2 += plane.area_m2;
+            }
+        }
+        let share = area_m2 / whole.max(1e-9);
+        (fitting >= LEAST_FITTING && share >= LEAST_SHARE).then(|| {
+            let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), place.turn_rad)
+                * predicted.rotation;
+            let translation = Translation3::new(place.at.x, place.at.y, up_m);
+            Recognised { world_from_robot: Isometry3::from_parts(translation, rotation), share }
+        })
+    }
+
+    /// The height that most of what lies says.
+    fn height(&self, seen: &Self, place: &Place) -> Option<f64> {
+        let turn = nalgebra::Rotation2::new(place.turn_rad);
+        let mut votes: BTreeMap<i32, (f64, f64)> = BTreeMap::new();
+        for plane in &seen.level {
+            let middle = turn * plane.middle + place.at;
+            for landmark in self.level.iter().filter(|l| l.from_above == plane.from_above) {
+                if (landmark.middle - middle).norm() < landmark.radius_m + BEYOND_M {
+                    let up_m = landmark.z_m - plane.z_m;
+                    let bin = (up_m / OFFSET_M).round().clamp(-1e9, 1e9) as i32;
+                    let vote = votes.entry(bin).or_insert((0.0, 0.0));
+                    vote.0 += plane.area_m2;
+                    vote.1 += plane.area_m2 * up_m;
+                }
+            }
+        }
+        let best = votes.into_values().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some(best.1 / best.0.max(1e-9))
+    }
+}
+
+impl Upright {
+    /// Whether a place over the ground lies beside the plane, between its ends.
+    fn spans(&self, p: &Vector2<f64>) -> bool {
+        let along = Vector2::new(-self.normal.y, self.normal.x);
+        along.dot(&(p - self.middle)).abs() < self.half_length_m + BEYOND_M
+    }
+}

@@ -1,0 +1,94 @@
+//! Places known again by their planes alone, and likenesses that are none.
+
+use super::drive::{Drive, step};
+use super::world::{World, rng, uniform};
+use nalgebra::{Isometry3, Vector3, Vector6};
+use usar_agent::mapping::{MapperConfig, OdometryNoise};
+
+/// Rooms in a row along x, each 8 m long and 7 m wide with a doorway of 1.6 m to the next; `furnish` puts
+/// blocks into the room with a number whose corner lies at x.
+fn rooms(count: usize, mut furnish: impl FnMut(&mut World, usize, f64)) -> World {
+    let mut world = World::default();
+    for room in 0..count {
+        let x = 8.0 * room as f64;
+        world.level((x, x + 8.0), (-3.5, 3.5), 0.0, true);
+        world.level((x, x + 8.0), (-3.5, 3.5), 2.6, false);
+        world.wall((x, -3.5), (x + 8.0, -3.5), 0.0, 2.6);
+        world.wall((x + 8.0, 3.5), (x, 3.5), 0.0, 2.6);
+        for (low, high) in [(-3.5, -0.8), (0.8, 3.5)] {
+            world.wall((x, high), (x, low), 0.0, 2.6);
+            world.wall((x + 7.9, low), (x + 7.9, high), 0.0, 2.6);
+        }
+        furnish(&mut world, room, x);
+    }
+    let end = 8.0 * count as f64;
+    world.wall((end, -0.8), (end, 0.8), 0.0, 2.6);
+    world.wall((0.0, 0.8), (0.0, -0.8), 0.0, 2.6);
+    world
+}
+
+/// Three blocks at drawn places of each room.
+fn furnished_differently(seed: u64) -> World {
+    let mut random = rng(seed);
+    rooms(3, |world, _, x| {
+        for (cx, cy) in [(2.0, -2.2), (4.5, 2.3), (6.4, -2.0)] {
+            let mut draw = |low: f64, high: f64| low + (high - low) * uniform(&mut random);
+            let at = (x + cx + draw(-0.6, 0.6), cy + draw(-0.4, 0.4));
+            let size = (draw(0.5, 1.4), draw(0.5, 1.2), draw(0.5, 1.9));
+            world.block(at, size, draw(-1.5, 1.5));
+        }
+    })
+}
+
+/// Drives through the rooms and looks every metre or so.
+fn explored(world: &World, seed: u64, metres: usize) -> Drive<'_> {
+    let start = Isometry3::new(Vector3::new(1.2, 0.0, 0.0), Vector3::zeros());
+    let mut drive = Drive::begin(world, MapperConfig::default(), start, seed);
+    for _ in 0..metres {
+        drive.steer_to(drive.truth * step(1.0, 0.0, 0.0), &OdometryNoise::default());
+    }
+    drive
+}
+
+/// Lifts the robot and sets it down elsewhere; odometry tells nothing of it.
+fn carry(drive: &mut Drive<'_>, to: &Isometry3<f64>) {
+    drive.slide(&Isometry3::identity(), &Vector6::zeros());
+    drive.truth = *to;
+}
+
+#[test]
+fn a_robot_that_was_carried_knows_the_place_again() {
+    for seed in 0..6 {
+        let world = furnished_differently(20 + seed);
+        let mut drive = explored(&world, seed, 20);
+        let mut random = rng(700 + seed);
+        let mut draw = |low: f64, high: f64| low + (high - low) * uniform(&mut random);
+        let room = (draw(0.0, 2.0)).floor();
+        let to = Isometry3::new(
+            Vector3::new(8.0 * room + draw(1.0, 2.0), draw(-0.5, 0.5), 0.0),
+            Vector3::z() * draw(-0.5, 0.5),
+        );
+        carry(&mut drive, &to);
+        drive.look();
+        for _ in 0..3 {
+            drive.go(&step(0.4, 0.0, 12.0), &OdometryNoise::default());
+        }
+        let (metres, radians) = drive.error();
+        assert!(metres < 0.02 && radians < 0.005, "seed {seed}: {metres} m, {radians} rad");
+    }
+}
+
+#[test]
+fn a_room_like_another_is_not_taken_for_it() {
+    // The same furniture in every room: only the way there tells them apart.
+    let world = rooms(4, |world, _, x| {
+        world.block((x + 2.2, -2.3), (1.0, 0.7, 0.9), 0.3);
+        world.block((x + 5.0, 2.2), (0.8, 1.4, 1.6), -0.4);
+    });
+    for seed in 0..5 {
+        let drive = explored(&world, seed, 27);
+        let (metres, radians) = drive.error();
+        assert!(metres < 0.05 && radians < 0.01, "seed {seed}: {metres} m, {radians} rad");
+        assert_eq!(drive.wrong, 0, "seed {seed}");
+    }
+}
