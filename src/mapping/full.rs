@@ -76,6 +76,8 @@ struct Hypothesis {
     log_weight: f64,
     /// Scans since it was the best or began.
     behind: usize,
+    /// Whether it has the robot carried elsewhere and was never the best.
+    carried: bool,
 }
 
 /// The full mode's state.
@@ -96,6 +98,9 @@ struct Branch {
     prepared: usize,
     assignment: Assignment,
     log_weight: f64,
+    /// Share of the scan that contradicts it; 0 where nobody asked.
+    refuted: f64,
+    carried: bool,
 }
 
 impl Full {
@@ -106,7 +111,7 @@ impl Full {
         covariance: &Matrix6<f64>,
     ) -> Self {
         let estimate = Estimate::new(config.graph, world_from_robot, covariance);
-        let first = Hypothesis { estimate, log_weight: 0.0, behind: 0 };
+        let first = Hypothesis { estimate, log_weight: 0.0, behind: 0, carried: false };
         Self { config, hypotheses: vec![first], told: Vec::new(), next_landmark: 0 }
     }
 
@@ -137,6 +142,7 @@ impl Full {
         for parent in 0..self.hypotheses.len() {
             self.branch(parent, &arrival, &mut prepared, &mut branches);
         }
+        hold_back(&mut branches);
         branches.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
         let best = branches[0].log_weight;
         branches.retain(|branch| branch.log_weight > best - DEAD);
@@ -153,7 +159,7 @@ impl Full {
         branches: &mut Vec<Branch>,
     ) {
         let config = &self.config.association;
-        let Hypothesis { estimate, log_weight, .. } = &self.hypotheses[parent];
+        let Hypothesis { estimate, log_weight, carried, .. } = &self.hypotheses[parent];
         let mut plain = estimate.prepare(arrival, config, 1.0);
         let found = &plain.assignments[0];
         let pairs = found.pairs.len();
@@ -173,7 +179,14 @@ impl Full {
             && self.hypotheses.len() == 1;
         if plainly {
             let assignment = found.clone();
-            branches.push(Branch { parent, prepared: place, assignment, log_weight: 0.0 });
+            branches.push(Branch {
+                parent,
+                prepared: place,
+                assignment,
+                log_weight: 0.0,
+                refuted: 0.0,
+                carried: false,
+            });
             prepared.push(plain);
             return;
         }
@@ -186,6 +199,7 @@ impl Full {
                 assignment: found.clone(),
                 log_prior,
                 far: found.shift_from(&prepared.belief).exceeds(FAR_M, FAR_M, FAR_RAD),
+                carried: false,
                 left_out: estimate.left_out(arrival, config, prepared, found),
                 pieces: estimate.pieces(arrival, config, prepared, found),
             };
@@ -198,6 +212,7 @@ impl Full {
             assignment: Assignment::none(&plain.belief),
             log_prior: LOG_UNRECOGNISED,
             far: false,
+            carried: false,
             left_out: Vec::new(),
             pieces: 0.0,
         });
@@ -213,16 +228,18 @@ impl Full {
             for world_from_robot in &elsewhere {
                 let there = estimate.prepare_at(arrival, config, world_from_robot);
                 let options = options(&there, prepared.len(), LOG_LOST).into_iter().filter(more);
-                claims.extend(options.map(|claim| Claim { far: true, ..claim }));
+                claims.extend(options.map(|claim| Claim { far: true, carried: true, ..claim }));
                 prepared.push(there);
             }
         }
         let judged = judge(claims, estimate, prepared, arrival.scan);
-        branches.extend(judged.into_iter().map(|(prepared, assignment, score)| Branch {
+        branches.extend(judged.into_iter().map(|judged| Branch {
             parent,
-            prepared,
-            assignment,
-            log_weight: log_weight + score,
+            prepared: judged.prepared,
+            assignment: judged.assignment,
+            log_weight: log_weight + judged.score,
+            refuted: judged.refuted,
+            carried: *carried || judged.carried,
         }));
     }
 
@@ -253,6 +270,7 @@ impl Full {
             self.next_landmark = from.estimate.next_landmark();
             let pose = from.estimate.last_pose();
             from.behind = if at == 0 { 0 } else { from.behind + 1 };
+            from.carried = branch.carried && at > 0;
             from.log_weight = branch.log_weight - branches[0].log_weight;
             let known = self
                 .hypotheses
@@ -372,10 +390,23 @@ struct Claim {
     log_prior: f64,
     /// Whether it moves the robot far beside what it takes for seen.
     far: bool,
+    /// Whether it has the robot carried there, against all odometry.
+    carried: bool,
     /// See [`Estimate::left_out`].
     left_out: Vec<(usize, LandmarkId)>,
     /// See [`Estimate::pieces`].
     pieces: f64,
+}
+
+/// An explanation with what the map says of it.
+struct Judged {
+    prepared: usize,
+    assignment: Assignment,
+    score: f64,
+    /// Share of the scan's points that contradict the map.
+    refuted: f64,
+    far: bool,
+    carried: bool,
 }
 
 /// Scores of explanations with what the map says against them, and without a lead for what is far from
@@ -385,51 +416,60 @@ fn judge(
     estimate: &Estimate,
     options: &[Prepared],
     scan: &ScanObservations,
-) -> Vec<(usize, Assignment, f64)> {
-    struct Judged {
-        prepared: usize,
-        assignment: Assignment,
-        score: f64,
-        refuted: f64,
-        far: bool,
-    }
-    let judged: Vec<Judged> = claims
+) -> Vec<Judged> {
+    let mut judged: Vec<Judged> = claims
         .into_iter()
-        .map(|Claim { prepared, assignment, log_prior, far, left_out, pieces }| {
+        .map(|Claim { prepared, assignment, log_prior, far, carried, left_out, pieces }| {
             let option = &options[prepared];
             let against = estimate.contradiction(scan, option, &assignment, &left_out);
             let refuted = against.share();
             let score = assignment.support + pieces + log_prior + against.footing + against.doubled
                 - weight_of(refuted);
-            Judged { prepared, assignment, score, refuted, far }
+            Judged { prepared, assignment, score, refuted, far, carried }
         })
         .collect();
     let near = judged.iter().filter(|option| !option.far);
     let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
     let near = near.expect("the prediction itself is among the explanations");
     let (near_score, near_refuted) = (near.score, near.refuted);
+    let near_is_wrong = |refuted: f64| near_refuted > refuted + TOLERATED_SHARE;
+    // A room like another proves nothing: odometry must be wrong before a robot was carried.
+    judged.retain(|option| !option.carried || near_is_wrong(option.refuted));
     let far_places = judged.iter().filter(|option| option.far).count();
+    for option in &mut judged {
+        // What lies far from the prediction needs more than a good fit: worlds repeat themselves.
+        let proven = !option.far
+            || (far_places == 1
+                && option.refuted < TOLERATED_SHARE
+                && near_is_wrong(option.refuted)
+                && proven(&option.assignment, scan));
+        if !proven {
+            option.score = option.score.min(near_score - UNPROVEN);
+        }
+        tracing::debug!(
+            pairs = option.assignment.pairs.len(),
+            score = option.score,
+            refuted = option.refuted,
+            far = option.far,
+            carried = option.carried,
+            proven,
+            "explanation of a scan"
+        );
+    }
     judged
-        .into_iter()
-        .map(|Judged { prepared, assignment, score, refuted, far }| {
-            // What lies far from the prediction needs more than a good fit: worlds repeat themselves.
-            let proven = !far
-                || (far_places == 1
-                    && refuted < TOLERATED_SHARE
-                    && near_refuted > refuted + TOLERATED_SHARE
-                    && proven(&assignment, scan));
-            let score = if proven { score } else { score.min(near_score - UNPROVEN) };
-            tracing::debug!(
-                pairs = assignment.pairs.len(),
-                score,
-                refuted,
-                far,
-                proven,
-                "explanation of a scan"
-            );
-            (prepared, assignment, score)
-        })
-        .collect()
+}
+
+/// Explanations that have the robot carried elsewhere stay behind those that follow odometry until what
+/// is seen contradicts them: in a row of like rooms the old ones are recognised scan after scan.
+fn hold_back(branches: &mut [Branch]) {
+    let led = branches.iter().filter(|branch| !branch.carried);
+    let Some(led) = led.max_by(|a, b| a.log_weight.total_cmp(&b.log_weight)) else { return };
+    let (log_weight, refuted) = (led.log_weight, led.refuted);
+    for branch in branches.iter_mut().filter(|branch| branch.carried) {
+        if refuted <= branch.refuted + TOLERATED_SHARE {
+            branch.log_weight = branch.log_weight.min(log_weight - UNPROVEN);
+        }
+    }
 }
 
 /// Share of a scan's upright area that an assignment recognises: floors and ceilings look alike anywhere.
