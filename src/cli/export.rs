@@ -6,10 +6,15 @@ use super::session::{self, Session};
 use crate::driver::replay::Replay;
 use crate::export::cloud;
 use crate::export::run_folder::{Files, map_files};
+use crate::export::tum::{self, TimedPose};
+use crate::files::pcd::{Encoding, write_pcd};
 use crate::files::replace::replace_file;
 use crate::mission::Agent;
+use crate::scan::PointGrid;
+use crate::time::Stamp;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
+use nalgebra::Isometry3;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -26,14 +31,15 @@ const CLOUD_CELL_M: f64 = 0.05;
 /// Arguments of `usar export`.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  usar export run/ --to pcd -o points.pcd\n  \
-                  usar export session.usar --to map-server -o maps/station")]
+                  usar export session.usar --to map-server -o maps/station\n  \
+                  usar export run/ --to scans -o scans/")]
 pub struct ExportArguments {
     /// Run folder, recording, or text that a client printed
     run: PathBuf,
     /// What is wanted
     #[arg(long, value_enum)]
     to: Deliverable,
-    /// Where to; - is standard output. For map-server: the name before .pgm and .yaml
+    /// Where to; - is standard output. For map-server: the name before .pgm and .yaml; for scans: a folder
     #[arg(short, long, value_name = "PATH", help_heading = "Output")]
     output: Option<PathBuf>,
 }
@@ -52,6 +58,9 @@ enum Deliverable {
     Png3d,
     /// The trajectory
     Tum,
+    /// A folder of the scans that made the map, in their order, as `usar map` reads them:
+    /// scan_NNN.pcd, and odometry.tum with the sensor's way as it was reckoned between them
+    Scans,
     /// The session as MCAP (not built yet)
     Mcap,
     /// The map as MapInfo interchange (not built yet)
@@ -80,7 +89,7 @@ pub fn run(arguments: &ExportArguments) -> Result<ExitCode> {
         let name =
             arguments.to.to_possible_value().map_or_else(String::new, |v| v.get_name().into());
         say::error(format_args!(
-            "--to {name} is not built yet; there are map-server, ply, pcd, png3d and tum"
+            "--to {name} is not built yet; there are map-server, ply, pcd, png3d, tum and scans"
         ));
         return Ok(ExitCode::from(MISUSE));
     }
@@ -102,6 +111,7 @@ pub fn run(arguments: &ExportArguments) -> Result<ExitCode> {
             }
             write(arguments, "pcd", &cloud::pcd(&points))?;
         }
+        (Deliverable::Scans, _) => scans(arguments, &mut source)?,
         _ => map_server(arguments, &mut source)?,
     }
     Ok(if source.loss { ExitCode::from(DONE_WITH_LOSS) } else { ExitCode::SUCCESS })
@@ -133,18 +143,85 @@ impl Source<'_> {
 
     fn replay(&mut self) -> Result<&(Box<Agent>, Files)> {
         if self.replayed.is_none() {
-            let Session { recording, agent, name, .. } = session::open(self.run, None, false, &[])?;
-            if let Some(loss) = &recording.loss {
-                say::warn(format_args!("the recording is not whole: {loss}"));
-                self.loss = true;
-            }
-            let mut replay = Replay::new(agent, &recording);
-            while replay.step().context("the recording holds an unreadable operator event")? {}
-            let (agent, _, _) = replay.finish();
+            let (agent, name) = self.watched(|_| {})?;
             let files = map_files(&agent, &name);
             self.replayed = Some((Box::new(agent), files));
         }
         self.replayed.as_ref().context("the session was replayed")
+    }
+
+    /// Replays the session, calling `watch` after each step; the agent at its end and the session's name.
+    fn watched(&mut self, mut watch: impl FnMut(&Agent)) -> Result<(Agent, String)> {
+        let Session { recording, agent, name, .. } = session::open(self.run, None, false, &[])?;
+        if let Some(loss) = &recording.loss {
+            say::warn(format_args!("the recording is not whole: {loss}"));
+            self.loss = true;
+        }
+        let mut replay = Replay::new(agent, &recording);
+        while replay.step().context("the recording holds an unreadable operator event")? {
+            watch(replay.agent());
+        }
+        Ok((replay.finish().0, name))
+    }
+}
+
+/// Writes the scans of a session, and the way between them.
+fn scans(arguments: &ExportArguments, source: &mut Source<'_>) -> Result<()> {
+    let folder = match &arguments.output {
+        Some(path) if path == Path::new("-") => {
+            bail!("scans are many files: they cannot all go to standard output")
+        }
+        Some(path) => path.clone(),
+        None => PathBuf::from(format!("{}_scans", stem(&arguments.run))),
+    };
+    let mut series = ScanSeries::default();
+    source.watched(|agent| series.watch(agent))?;
+    if series.scans.is_empty() {
+        bail!("no scan in {}: there is none to export", arguments.run.display());
+    }
+    std::fs::create_dir_all(&folder)
+        .with_context(|| format!("cannot make {}", folder.display()))?;
+    for (number, scan) in series.scans.iter().enumerate() {
+        let bytes = write_pcd(scan, Encoding::Binary);
+        save(&folder.join(format!("scan_{number:03}.pcd")), &bytes)?;
+    }
+    save(&folder.join("odometry.tum"), tum::format(&series.way).as_bytes())
+}
+
+/// The scans that went into a map as they came, with the poses of the sensor by dead reckoning alone.
+#[derive(Default)]
+struct ScanSeries {
+    scans: Vec<PointGrid>,
+    way: Vec<TimedPose>,
+    /// The robot by dead reckoning at the last scan, and where the map put it after that.
+    last: Option<(Isometry3<f64>, Isometry3<f64>)>,
+    /// Where the agent had the robot a step ago.
+    before: Option<Isometry3<f64>>,
+}
+
+impl ScanSeries {
+    fn watch(&mut self, agent: &Agent) {
+        let Some(running) = agent.running() else { return };
+        let belief = running.belief();
+        let now = belief.world_from_robot();
+        if let Some((keyframe, image)) = belief.last_sweep()
+            && keyframe >= self.scans.len()
+        {
+            // The map corrects the robot in the step that takes the scan in.
+            let arrived = self.before.unwrap_or(now);
+            let reckoned = match &self.last {
+                Some((reckoned, corrected)) => reckoned * corrected.inverse() * arrived,
+                None => arrived,
+            };
+            self.last = Some((reckoned, now));
+            let stamp = belief.keyframe_stamps().last().flatten();
+            self.way.push(TimedPose {
+                time_s: stamp.map_or(self.scans.len() as f64, Stamp::seconds),
+                pose: reckoned * image.robot_from_scan,
+            });
+            self.scans.push(image.point_grid(0..image.columns()));
+        }
+        self.before = Some(now);
     }
 }
 

@@ -85,4 +85,5 @@ def main():
         row(f"usar map --mode {mode}", errors, [report["segment_ms"] + report["map_ms"]])
 
 
-main()
+if __name__ == "__main__":
+    main()
