@@ -17,8 +17,13 @@ const LEAST_TREND_M: f64 = 0.12;
 const LEAST_POINTS: usize = 4;
 /// The far side rises within this, in metres: ground that does so is steeper than any robot climbs.
 const SIDE_M: f64 = 0.05;
-/// A wider gap is judged as ground that is missing.
+/// No wheel enters what is narrower than the first; what is wider than the second is judged as ground that
+/// is missing.
+const NARROWEST_M: f64 = 0.06;
 const WIDEST_M: f64 = 0.5;
+/// A point is lower than the ground before it beyond this, and this many times what that scatters by.
+const DEEP_M: f64 = 0.012;
+const DEEP_SCATTERS: f64 = 4.0;
 /// Slits of neighbouring columns belong together within this, in metres.
 const BESIDE_M: f64 = 0.2;
 /// Columns in a row that must show the slit.
@@ -81,6 +86,14 @@ fn is_shared(seen: &[Vec<Slit>], column: usize, slit: &Slit) -> bool {
     1 + below + above >= COLUMNS
 }
 
+/// The ground before a place.
+#[derive(Clone, Copy)]
+struct Trend {
+    slope: f64,
+    /// What a point must be lower by to be below it, in metres.
+    noise_m: f64,
+}
+
 struct Column<'a> {
     fan: &'a Fan,
     floor: &'a FloorPlane,
@@ -112,8 +125,8 @@ impl Column<'_> {
                 break;
             }
             if let Some((near_row, near, near_away_m)) = last
-                && let Some(slope) = self.trend(&before, &near)
-                && let Some(slit) = self.slit(near_row, near, near_away_m, slope, row)
+                && let Some(trend) = self.trend(&before, &near)
+                && let Some(slit) = self.slit(near_row, near, near_away_m, trend, row)
             {
                 row = slit.side.1 + 1;
                 slits.push(slit);
@@ -134,24 +147,26 @@ impl Column<'_> {
         slits
     }
 
-    /// Slope of the ground up to its last point.
-    fn trend(&self, before: &[(f64, f64)], last: &Point3<f64>) -> Option<f64> {
+    /// The ground up to its last point.
+    fn trend(&self, before: &[(f64, f64)], last: &Point3<f64>) -> Option<Trend> {
         let (first_m, last_m) = (before.first()?.0, before.last()?.0);
         if before.len() < LEAST_POINTS || last_m - first_m < LEAST_TREND_M {
-            let sigma_m = self.config.relative_sigma_at(last_m);
-            let along = self.along(last);
-            return ((last.z - self.floor.z_at(last.x, last.y)).abs() < 2.5 * sigma_m)
-                .then(|| self.floor.slope(&along));
+            let noise_m = 2.5 * self.config.relative_sigma_at(last_m);
+            let on_floor = (last.z - self.floor.z_at(last.x, last.y)).abs() < noise_m;
+            return on_floor.then(|| Trend { slope: self.floor.slope(&self.along(last)), noise_m });
         }
         let count = before.len() as f64;
-        let mean = before.iter().fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
-        let mean = (mean.0 / count, mean.1 / count);
-        let (mut xx, mut xz) = (0.0, 0.0);
+        let sum = before.iter().fold((0.0, 0.0), |sum, p| (sum.0 + p.0, sum.1 + p.1));
+        let mean = (sum.0 / count, sum.1 / count);
+        let (mut xx, mut xz, mut zz) = (0.0, 0.0, 0.0);
         for (x, z) in before {
             xx += (x - mean.0).powi(2);
             xz += (x - mean.0) * (z - mean.1);
+            zz += (z - mean.1).powi(2);
         }
-        Some(xz / xx.max(1e-9))
+        let slope = xz / xx.max(1e-9);
+        let scatter_m = ((zz - slope * xz).max(0.0) / (count - 2.0)).sqrt();
+        Some(Trend { slope, noise_m: DEEP_M.max(DEEP_SCATTERS * scatter_m) })
     }
 
     fn along(&self, p: &Point3<f64>) -> Vector3<f64> {
@@ -166,21 +181,21 @@ impl Column<'_> {
         near_row: usize,
         near: Point3<f64>,
         near_away_m: f64,
-        slope: f64,
+        trend: Trend,
         row: usize,
     ) -> Option<Slit> {
         let Sample::Hit { p, away_m } = *self.fan.sample(row, self.column) else { return None };
         let gap_m = away_m - near_away_m;
-        let sigma_m = self.config.relative_sigma_at(away_m);
+        let Trend { slope, noise_m } = trend;
         let deep_m = near.z + slope * gap_m - p.z;
-        if !(0.0..WIDEST_M).contains(&gap_m)
-            || deep_m < 2.5 * sigma_m
+        if !(NARROWEST_M..WIDEST_M).contains(&gap_m)
+            || deep_m < noise_m
             || !self.fan.aligned(near_row, row)
         {
             return None;
         }
         // The rows above climb the far side, steeper than is driven.
-        let climbed_m = (2.5 * sigma_m).max(1.2 * self.shape.max_slope_rad.tan() * SIDE_M);
+        let climbed_m = noise_m.max(1.2 * self.shape.max_slope_rad.tan() * SIDE_M);
         let mut last = None;
         for above in row + 1..self.fan.rows.len() {
             match *self.fan.sample(above, self.column) {
