@@ -21,6 +21,7 @@ mod index;
 pub mod innovation;
 mod joint_search;
 mod landmark;
+pub mod line_alignment;
 mod mask;
 mod mask_builder;
 pub mod mip;
@@ -145,9 +146,25 @@ impl Mapper {
     }
 
     /// Takes in a motion that something else than the wheels measured, with its covariance as a
-    /// perturbation `[δt; δr]` in the frame before: two scans aligned in 2D, say, or no measurement at
-    /// all and a wide covariance.
+    /// perturbation `[δt; δr]` in the frame before: no measurement at all, say, and a wide covariance.
     pub fn predict_with(&mut self, before_from_after: &Isometry3<f64>, covariance: &Matrix6<f64>) {
+        self.motion.append_measured(before_from_after, covariance);
+    }
+
+    /// The motion since the last scan, as far as it is known: for [`replace_since`](Self::replace_since).
+    pub fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
+    /// Puts `before_from_after`, measured with `covariance`, in place of all motion since `mark`, which was
+    /// [`motion`](Self::motion) then: odometry has had its part in the measurement.
+    pub fn replace_since(
+        &mut self,
+        mark: &Motion,
+        before_from_after: &Isometry3<f64>,
+        covariance: &Matrix6<f64>,
+    ) {
+        self.motion = *mark;
         self.motion.append_measured(before_from_after, covariance);
     }
 

@@ -110,7 +110,7 @@ impl Running {
     pub(super) fn may_explore(&self, config: &AgentConfig) -> bool {
         let stuck = self.acquisition.as_ref().is_some_and(Acquisition::is_stuck);
         (self.sees_edges() && !stuck)
-            || (config.belief.terrain.flat_floor && self.planar_lines >= PLANAR_LINES)
+            || (config.belief.terrain.flat_floor && self.belief.flat_lines() >= PLANAR_LINES)
     }
 
     /// A robot that stands because its tilt shows no ground ahead sweeps again now and then: what held the

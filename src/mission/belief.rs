@@ -6,6 +6,7 @@
 //! terrain begins anew as a copy of it. So an error of odometry lasts one leg and no longer. A later
 //! sweep may move an earlier one: once that is more than the terrain can bear, all of it is drawn anew.
 
+use super::alignment::LineAligner;
 use super::leg::{BentLeg, Leg};
 use super::lines::PendingLine;
 use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
@@ -151,6 +152,9 @@ pub struct Belief {
     /// The way since the last keyframe.
     pub(super) leg: Leg,
     pub(super) pending: VecDeque<PendingLine>,
+    pub(super) pending_flat: VecDeque<PendingLine>,
+    pub(super) flat_lines: usize,
+    pub(super) aligner: LineAligner,
     /// One for each keyframe.
     settled_legs: Vec<Settled>,
     start: Isometry3<f64>,
@@ -180,6 +184,9 @@ impl Belief {
             history: VecDeque::new(),
             leg: Leg::default(),
             pending: VecDeque::new(),
+            pending_flat: VecDeque::new(),
+            flat_lines: 0,
+            aligner: LineAligner::default(),
             settled_legs: Vec::new(),
             start,
             first_from_start: Isometry3::identity(),
@@ -279,6 +286,7 @@ impl Belief {
     pub fn take_wheels(&mut self, wheels: PlanarPose, stamp: Stamp) {
         let Some((increment, source)) = self.motion.wheels(wheels) else { return };
         self.mapper.predict(&increment, source);
+        self.aligner.moved(&increment, source);
         self.path_m += increment.translation.vector.norm();
         let is_new_place = self.leg.drive(stamp, &increment);
         if self.history.len() == HISTORY {
@@ -297,6 +305,8 @@ impl Belief {
         self.motion.restart_wheels();
         self.history.clear();
         self.pending.clear();
+        self.pending_flat.clear();
+        self.aligner.restart();
     }
 
     /// Takes in that the robot is at `world_from_robot` now though nothing measured how it came there:
@@ -345,6 +355,8 @@ impl Belief {
         let update = self.mapper.observe(&scan);
         self.settle_attitude(&update.world_from_robot);
         self.pending.clear();
+        self.pending_flat.clear();
+        self.aligner.restart();
         let redrawn = self.settle(&update, image);
         ScanFindings { planes, spheres, cylinders, update, redrawn }
     }

@@ -81,6 +81,11 @@ impl Leg {
         self.effort_m += UNMEASURED_M;
     }
 
+    /// Puts the robot where lines have it now, instead of where it was reckoned to be.
+    pub(super) fn correct(&mut self, begin_from_robot: &Isometry3<f64>) {
+        self.end = *begin_from_robot;
+    }
+
     fn displace(&mut self, increment: &Isometry3<f64>) {
         self.end *= increment;
         self.end.rotation.renormalize();

@@ -5,6 +5,7 @@
 //! autonomy or an operator decides what to do next, and the pilot lets through what is safe.
 
 mod agent;
+mod alignment;
 mod autonomy;
 mod belief;
 mod bridge;

@@ -11,6 +11,10 @@ use crate::time::{Span, Stamp};
 use nalgebra::Isometry3;
 use std::borrow::Cow;
 
+/// From the time that a UT2004 server prints with a laser line to the casting of its rays, where no calibration
+/// tells.
+const CAST_AFTER: Span = Span::from_millis(100);
+
 impl Running {
     /// Takes in a message. Gives what it means for the mission.
     pub(super) fn message(&mut self, message: &Message, desk: &mut Desk<'_>) -> Verdict {
@@ -174,8 +178,11 @@ impl Running {
 
     /// A line at the laser's own height: flat occupancy.
     pub(super) fn take_level_line(&mut self, line: &LaserLine, robot_from_sensor: &Isometry3<f64>) {
-        if self.belief.take_flat_line(line, robot_from_sensor) {
-            self.planar_lines += 1;
-        }
+        // UT2004 casts the rays a burst after the one that it prints (protocol reference, section 6).
+        let after = match self.rig.dialect {
+            Dialect::Ut2004 => CAST_AFTER,
+            Dialect::Udk => Span::ZERO,
+        };
+        self.belief.take_flat_line(line, robot_from_sensor, line.stamp + after);
     }
 }

@@ -146,7 +146,6 @@ pub struct Running {
     pub(super) first_scan_due: bool,
     /// What the last sweep had to say of itself.
     pub(super) remarks: Vec<String>,
-    pub(super) planar_lines: usize,
     pub(super) wheel_count: WheelCount,
     /// The sweep that is being watched in a recording of somebody else.
     pub(super) observed: ObservedSweep,
@@ -211,7 +210,6 @@ impl Running {
             latest_stamp: Stamp::default(),
             first_scan_due: true,
             remarks: Vec::new(),
-            planar_lines: 0,
             wheel_count: WheelCount::default(),
             observed: ObservedSweep::default(),
             nod_asked_m: 0.0,
