@@ -1,6 +1,8 @@
 //! The mission as a whole, in lockstep with the stand-in.
 
 use crate::replay::{record, scenario};
+use nalgebra::Isometry3;
+use usar_agent::driver::simulated::SimulatedMission;
 use usar_agent::protocol::Dialect;
 use usar_agent::sim::{FaultKind, FaultSpec, PanTiltSpec};
 
@@ -61,4 +63,37 @@ fn no_head_is_taken_to_turn_the_other_way_round_because_the_line_is_slow() {
         assert!(told("tilt: turns as believed"), "{dialect:?} {late_s}: {notes:?}");
         assert!(!told("the other way round"), "{dialect:?} {late_s}: {notes:?}");
     }
+}
+
+/// A laser that does not tilt shows walls, and walls show where the robot is.
+#[test]
+fn a_robot_with_a_fixed_laser_keeps_its_place_by_its_lines() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fixed.toml");
+    let text = std::fs::read_to_string(root.join("scenarios/yellow.toml")).unwrap();
+    let map = root.join("maps/yellow.toml");
+    let text = text.replace("../maps/yellow.toml", map.to_str().unwrap());
+    let text = text.replace("USARBot.P3AT", "USARBot.P2AT");
+    std::fs::write(&path, text + "\n[agent.belief.terrain]\nflat_floor = true\n").unwrap();
+    let mut loaded = usar_agent::files::scenario::load(&path, &[]).unwrap();
+    loaded.agent.mission.time_limit_s = 150.0;
+    let mut mission = SimulatedMission::new(loaded, std::io::sink()).unwrap();
+    let mut worst_m = 0.0_f64;
+    // The map begins where the robot did.
+    let mut map_from_world: Option<Isometry3<f64>> = None;
+    while mission.step().unwrap() {
+        let (Some(truth), Some(running)) = (mission.truth(), mission.agent().running()) else {
+            continue;
+        };
+        let estimate = running.belief().world_from_robot();
+        let truth = truth.world_from_robot;
+        let frame = *map_from_world.get_or_insert_with(|| estimate * truth.inverse());
+        let apart = estimate.translation.vector - (frame * truth).translation.vector;
+        worst_m = worst_m.max(apart.xy().norm());
+    }
+    let path_m = mission.agent().running().unwrap().belief().path_m();
+    assert!(path_m > 6.0, "{path_m} m driven");
+    // Odometry alone is off by 0.3 m and more.
+    assert!(worst_m < 0.15, "{worst_m} m off on {path_m} m");
 }
