@@ -44,6 +44,8 @@ pub(super) struct Field {
     pub saturated: usize,
     /// What the readings err by.
     pub errors: ReadingErrors,
+    /// The same for regions of several lanes: with what all of a lane errs by alike.
+    pub lane_errors: ReadingErrors,
     /// Range over its standard deviation; zero where there is no return.
     pub gain: Vec<f32>,
     /// What is known of the errors of the grid's rows, see [`PointGrid::row_sigmas_rad`].
@@ -75,7 +77,7 @@ impl Field {
 
     /// Sets what the readings err by, and the gains that follow from it.
     pub fn set_errors(&mut self, errors: ReadingErrors) {
-        self.errors = errors;
+        (self.errors, self.lane_errors) = (errors, errors);
         let noise = errors.noise;
         let [constant, square, fourth] =
             [noise.constant, noise.square, noise.fourth].map(|factor| factor as f32);

@@ -166,7 +166,7 @@ impl Grower {
             }
         }
         region.plane = Plane::of(&region.moments);
-        if region.moments.error(&region.plane.q) > SEED_ERROR * field.errors.run {
+        if region.moments.error(&region.plane.q) > SEED_ERROR * field.lane_errors.run {
             return;
         }
         self.front.clear();
@@ -208,7 +208,7 @@ impl Grower {
             }
             for &s in &self.free[..free] {
                 let other = &sticks.sticks[s as usize];
-                if !region.plane.fits(other, &field.errors) {
+                if !region.plane.fits(other, &field.lane_errors) {
                     continue;
                 }
                 self.region_of[s as usize] = label;
@@ -242,7 +242,7 @@ impl Grower {
         self.merger.sort_pairs();
         self.moments.clear();
         self.moments.extend(self.regions.iter().map(|region| region.moments));
-        self.merger.merge(&mut self.moments, &field.errors, |_| true);
+        self.merger.merge(&mut self.moments, &field.lane_errors, |_| true);
         for (region, moments) in self.regions.iter_mut().zip(&self.moments) {
             if region.moments.n != moments.n {
                 *region = Region { moments: *moments, plane: Plane::of(moments) };

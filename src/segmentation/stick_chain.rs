@@ -95,7 +95,7 @@ impl StickChain {
         self.merger.pairs_of_labels(labels, field.lanes, &field.rim, &self.competition.border);
         let models = &self.curves.models;
         self.merger
-            .merge(&mut self.moments, &field.errors, |label| models[label as usize].is_none());
+            .merge(&mut self.moments, &field.lane_errors, |label| models[label as usize].is_none());
         self.merger.follow(labels);
         self.changed.clear();
         self.changed.resize(self.rivals.len(), false);
