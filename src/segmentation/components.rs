@@ -35,6 +35,8 @@ struct Run {
     parent: u32,
 }
 
+/// Cells that are compared with the next ones at a time.
+const COMPARED: usize = 8;
 /// Cells that are filled at a time.
 const FILLED: usize = 16;
 
@@ -167,11 +169,21 @@ impl Components {
         self.changes.resize(width + 1, 0);
         for (row, labels) in labels.chunks_exact(width.max(1)).enumerate() {
             self.row_starts.push(self.runs.len());
-            // Where labels change is hard to foretell, so no branch depends on it.
+            // Where labels change is hard to foretell, so no branch depends on it but for several at once.
             let mut count = 1;
-            for (column, pair) in (1..).zip(labels.windows(2)) {
-                self.changes[count] = column;
-                count += usize::from(pair[0] != pair[1]);
+            let (here, next) = (labels, labels.get(1..).unwrap_or_default());
+            let (here_parts, next_parts) = (here.as_chunks::<COMPARED>().0, next.as_chunks().0);
+            for (part, (here, next)) in here_parts.iter().zip(next_parts).enumerate() {
+                if here != next {
+                    for (column, (a, b)) in (part * COMPARED + 1..).zip(here.iter().zip(next)) {
+                        self.changes[count] = column as u32;
+                        count += usize::from(a != b);
+                    }
+                }
+            }
+            for column in next.len() / COMPARED * COMPARED + 1..width {
+                self.changes[count] = column as u32;
+                count += usize::from(labels[column - 1] != labels[column]);
             }
             self.changes[count] = width as u32;
             let first = (row * width) as u32;

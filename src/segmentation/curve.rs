@@ -127,7 +127,8 @@ impl CurveFinder {
     }
 
     /// The sphere or cylinder that explains two facets, or, where these have one lane each, which
-    /// leaves the circle open, the best that explains them and a third beside them.
+    /// leaves the circle open, or two, whose plane is hardly known, the best that explains them and a
+    /// third beside them.
     fn best_guess(
         &mut self,
         sticks: &Sticks,
@@ -137,8 +138,12 @@ impl CurveFinder {
         limits: &ShapeLimits,
     ) -> Option<(Model, [u32; 3])> {
         if !(self.facets.is_one_lane(a) && self.facets.is_one_lane(b)) {
-            let guess = self.guess(sticks, grower, [a, b, b], limits)?;
-            return Some((guess.1, [a, b, b]));
+            if let Some(guess) = self.guess(sticks, grower, [a, b, b], limits) {
+                return Some((guess.1, [a, b, b]));
+            }
+            if !(self.facets.is_narrow(a) && self.facets.is_narrow(b)) {
+                return None;
+            }
         }
         let mut best: Option<(f64, Model, [u32; 3])> = None;
         let around_a = self.facets.near(a).len();
@@ -148,9 +153,8 @@ impl CurveFinder {
                 Some(k) => self.facets.near(b)[k],
             };
             let spans = [a, b, third].map(|region| self.facets.lanes(region));
-            let narrow = spans[2].1 - spans[2].0 < 2;
             if self.facets.left[third as usize] == 0
-                || !narrow
+                || !self.facets.is_narrow(third)
                 || spans[2] == spans[0]
                 || spans[2] == spans[1]
             {

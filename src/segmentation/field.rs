@@ -18,7 +18,7 @@ const SATURATED: f32 = 0.9985;
 /// Fewest saturated readings that are believed to be some.
 const FEWEST_SATURATED: u32 = 32;
 /// Pairs of cells that are looked at to measure one angular pitch.
-const PITCH_SAMPLES: usize = 256;
+const PITCH_SAMPLES: usize = 64;
 /// Lanes that are looked at to measure the pitch between two steps.
 const LANE_SAMPLES: usize = 9;
 
@@ -52,6 +52,8 @@ pub(super) struct Field {
     pub row_sigmas_rad: Vec<f32>,
     /// Which cells are on its rim.
     pub rim: Rim,
+    /// Ranges of the nearest and of the farthest return.
+    pub extent: [f32; 2],
     samples: Vec<f32>,
     turned: Vec<[f32; 3]>,
 }
@@ -152,8 +154,7 @@ impl Field {
         Arch::new().dispatch(Fill { points: &points[..length], arrays: [x, y, z, range, inverse] });
     }
 
-    /// Ranges of the nearest and of the farthest return.
-    pub fn extent(&self) -> [f32; 2] {
+    fn find_extent(&self) -> [f32; 2] {
         // Positive numbers are in the order of their bits, which can be compared many at a time; with
         // one less of them a range of none is beyond all.
         let (low, high) = Arch::new().dispatch(Extent(&self.range));
@@ -168,7 +169,8 @@ impl Field {
     /// acos(1 / 1.0015) = 3.1° of its foot: the mean of their directions is nearly of unit length.
     fn drop_saturated(&mut self) {
         self.saturated = 0;
-        let [_, greatest] = self.extent();
+        self.extent = self.find_extent();
+        let [_, greatest] = self.extent;
         let limit = (SATURATED * greatest).max(f32::MIN_POSITIVE);
         let near = Arch::new().dispatch(Count { range: &self.range, least: limit });
         if near < FEWEST_SATURATED {
@@ -196,6 +198,7 @@ impl Field {
             }
         }
         self.saturated = count;
+        self.extent = self.find_extent();
     }
 
     /// The angle of each step from the first: tilts need not be evenly spaced.

@@ -227,19 +227,18 @@ impl Grower {
 
     /// Merges neighbouring regions that one plane explains.
     fn merge(&mut self, field: &Field, sticks: &Sticks) {
-        self.merger.clear_pairs();
-        for s in 0..sticks.sticks.len() as u32 {
-            let region = self.region_of[s as usize];
-            if region != 0 {
-                for others in sticks.after(s) {
-                    let others = &self.region_of[others.start as usize..others.end as usize];
-                    if others.iter().fold(0, |all, other| all | (other ^ region)) != 0 {
-                        others.iter().for_each(|&other| self.merger.push_pair(region, other));
+        let Self { merger, region_of, regions, .. } = self;
+        merger.list_pairs(regions.len(), |touching| {
+            for s in 0..sticks.sticks.len() as u32 {
+                let region = region_of[s as usize];
+                if region != 0 {
+                    for others in sticks.after(s) {
+                        let others = &region_of[others.start as usize..others.end as usize];
+                        touching.add(region, others.iter().copied());
                     }
                 }
             }
-        }
-        self.merger.sort_pairs();
+        });
         self.moments.clear();
         self.moments.extend(self.regions.iter().map(|region| region.moments));
         self.merger.merge(&mut self.moments, &field.lane_errors, |_| true);

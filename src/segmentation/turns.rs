@@ -1,8 +1,8 @@
 //! What errors of the rays' angles mean for the ranges: on a floor at a grazing angle a tilt that is off by
 //! 0.05° moves a reading by more than its own noise does, and all readings of its row alike.
 
-use super::cut::LONGEST;
 use super::field::{Field, median};
+use super::segments::SEGMENT;
 
 /// Angle over which slopes are told, and the steepest that is believed, in ranges per radian.
 const SLOPE_RAD: f32 = 0.03;
@@ -50,7 +50,7 @@ impl Field {
             }
         }
         let common = (common / f64::max(count, 1.0)).max(self.errors.common);
-        let alike = 1.0 + common * (LONGEST as f64 - 1.0);
+        let alike = 1.0 + common * (SEGMENT as f64 - 1.0);
         let errors = &mut self.lane_errors;
         (errors.common, errors.run) = (common, errors.run.max(alike));
         errors.patch = errors.patch.max(alike);
