@@ -58,28 +58,32 @@ impl Plane {
     #[inline]
     pub fn fits(&self, stick: &Stick, errors: &ReadingErrors) -> bool {
         let [xx, xy, xz, yy, yz, zz] = self.covariance;
-        let unit = stick.gain;
-        let squares = stick.ends.map(|[x, y, z]| {
-            let deviation = self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0;
-            deviation * deviation * unit
+        let deviations = stick.ends.map(|[x, y, z]| {
+            (self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0).abs() * stick.root_gain
         });
         // No gate lets this pass.
-        if squares[0].max(squares[1]) >= WIDEST_GATE * WIDEST_GATE {
+        if deviations[0].max(deviations[1]) >= WIDEST_GATE {
             return false;
         }
+        let unit = stick.gain;
         // Both ends at once: one that is told first spares less than a branch costs.
-        let gates = stick.ends.map(|[x, y, z]| {
+        let variances = stick.ends.map(|[x, y, z]| {
             let known =
                 xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
             // Each end stands for half the readings.
-            let mut variance = 2.0 / stick.n + unit * known;
+            let mut variance = 2.0 * stick.per_reading + unit * known;
             if errors.common > 0.0 {
                 let common = 1.0 + (errors.patch * unit * known).min(MOST_COMMON);
                 variance = (1.0 - errors.common) * variance + errors.common * common;
             }
-            GATE * variance.sqrt() + SLACK
+            variance
         });
-        let passes = |k: usize| (gates[k] < WIDEST_GATE) & (squares[k] < gates[k] * gates[k]);
+        // `deviation < GATE √variance + SLACK`, and that gate below the widest, without a root.
+        const WIDEST: f64 = (WIDEST_GATE - SLACK) / GATE;
+        let passes = |k: usize| {
+            let beyond = (deviations[k] - SLACK).max(0.0) * (1.0 / GATE);
+            (variances[k] < WIDEST * WIDEST) & (beyond * beyond < variances[k])
+        };
         passes(0) & passes(1)
     }
 }

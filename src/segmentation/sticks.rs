@@ -26,10 +26,12 @@ pub(super) struct Stick {
     pub ends: [[f64; 3]; 2],
     /// Weight `r² / σ²` of each end, times half the number of readings.
     pub weight: f64,
-    /// The same of one reading.
+    /// The same of one reading, and its root.
     pub gain: f64,
-    /// Number of readings.
+    pub root_gain: f64,
+    /// Number of readings, and one over it.
     pub n: f64,
+    pub per_reading: f64,
     /// Sum of squared errors of the readings about the line, in units of their noise.
     pub error: f64,
 }
@@ -253,7 +255,9 @@ fn measure(field: &Field, per_gap: &[f32], lane: usize, run: &Run) -> Stick {
         ends,
         weight: 0.5 * gain * n,
         gain,
+        root_gain: gain.sqrt(),
         n,
+        per_reading: 1.0 / n,
         error: f64::from(run.error * per_product) * gain,
     }
 }
