@@ -52,6 +52,8 @@ pub(super) struct Cutter {
     /// First step of each segment, and the end of the last.
     begins: Vec<usize>,
     straight: Vec<Straight>,
+    /// Most cells of a run that is joined.
+    longest: usize,
     /// Lanes that are cut in a segment.
     open: Vec<u32>,
     block: Block,
@@ -100,6 +102,7 @@ impl Cutter {
     /// Cuts all lanes of a field.
     pub fn cut(&mut self, field: &Field) {
         self.make_tables(field);
+        self.longest = ((WIDEST_RAD / field.along_rad) as usize).clamp(SEGMENT, LONGEST);
         self.begins.clear();
         let is_coarse = SEGMENT as f32 * field.along_rad > WIDEST_SEGMENT_RAD;
         let count = if is_coarse { 1 } else { field.steps.div_ceil(SEGMENT) };
@@ -158,7 +161,7 @@ impl Cutter {
             if let Some(last) = &mut last {
                 if last.end == run.first
                     && run.first as usize == begin
-                    && let Some(joined) = join(field, lane, last, run)
+                    && let Some(joined) = join(self, field, lane, last, run)
                 {
                     *last = joined;
                     return;
@@ -213,11 +216,10 @@ impl Cutter {
 
 /// One run in place of two that a segment's end parts, if that costs less.
 #[inline]
-fn join(field: &Field, lane: usize, run: &Run, next: &Run) -> Option<Run> {
+fn join(cutter: &Cutter, field: &Field, lane: usize, run: &Run, next: &Run) -> Option<Run> {
     let count = run.len() + next.len();
-    let longest = ((WIDEST_RAD / field.along_rad) as usize).clamp(SEGMENT, LONGEST);
     // Too few cells have a line in any case.
-    if count > longest || count <= DOUBTED + 1 {
+    if count > cutter.longest || count <= DOUBTED + 1 {
         return None;
     }
     let (joined, more) = run.joined(next);

@@ -227,7 +227,8 @@ fn measure(field: &Field, per_gap: &[f32], lane: usize, run: &Run) -> Stick {
     let (begin, end) = (run.first as usize, run.end as usize);
     let count = end - begin;
     let n = count as f64;
-    let reach = (run.scatter / count as f32).sqrt();
+    let per_reading = 1.0 / count as f32;
+    let reach = (run.scatter * per_reading).sqrt();
     // Whole steps from the first to the nearer of the two points where they are evenly spaced:
     // `(n - 1) / 2 - √((n² - 1) / 12)`.
     let guess = (0.211_325 * count as f32 - 0.5).max(0.0) as usize;
@@ -247,7 +248,7 @@ fn measure(field: &Field, per_gap: &[f32], lane: usize, run: &Run) -> Stick {
     // The gain changes smoothly along a stick.
     let gain_at = |step: usize| field.gain[step * field.lanes + lane].powi(2);
     let gain = (gain_at(begin) + gain_at(begin + count / 2) + gain_at(end - 1)) * (1.0 / 3.0);
-    let gain = f64::from(gain);
+    let (gain, root_gain) = (f64::from(gain), f64::from(gain.sqrt()));
     Stick {
         lane: lane as u32,
         first: run.first,
@@ -255,9 +256,9 @@ fn measure(field: &Field, per_gap: &[f32], lane: usize, run: &Run) -> Stick {
         ends,
         weight: 0.5 * gain * n,
         gain,
-        root_gain: gain.sqrt(),
+        root_gain,
         n,
-        per_reading: 1.0 / n,
+        per_reading: f64::from(per_reading),
         error: f64::from(run.error * per_product) * gain,
     }
 }

@@ -200,6 +200,18 @@ pub(super) enum Model {
 }
 
 impl Model {
+    /// From the centre of a sphere or the axis of a cylinder to a point, and the radius.
+    pub fn radial(&self, p: &Vector3<f64>) -> Option<(Vector3<f64>, f64)> {
+        match self {
+            Model::Plane { .. } => None,
+            Model::Sphere { centre, radius_m } => Some((p - centre, *radius_m)),
+            Model::Cylinder { foot, axis, radius_m } => {
+                let d = p - foot;
+                Some((d - axis * axis.dot(&d), *radius_m))
+            }
+        }
+    }
+
     /// Signed distance of a point from the surface and the surface's normal there.
     pub fn distance(&self, p: &Vector3<f64>) -> (f64, Vector3<f64>) {
         match self {
