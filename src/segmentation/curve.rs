@@ -246,7 +246,7 @@ impl CurveFinder {
             self.errors.extend((0..readings.len()).map(|i| {
                 model.error(&readings.points[i], &readings.rays[i], readings.sigmas[i]).powi(2)
             }));
-            let (mut sum, mut count) = (0.0, 0.0);
+            let (mut sum, mut count, mut changed) = (0.0, 0.0, false);
             for bounds in self.bounds.windows(2) {
                 let part = bounds[0]..bounds[1];
                 self.sorted.clear();
@@ -255,6 +255,7 @@ impl CurveFinder {
                 let limit = *self.sorted.select_nth_unstable_by(last, f64::total_cmp).1;
                 for i in part {
                     let kept = if self.errors[i] <= limit { 1.0 } else { 0.0 };
+                    changed |= self.kept[i] != kept * self.weights[i];
                     self.kept[i] = kept * self.weights[i];
                     sum += kept * self.errors[i];
                     count += kept;
@@ -263,6 +264,10 @@ impl CurveFinder {
             mean = sum / count;
             if mean > HOPELESS {
                 return None;
+            }
+            if !changed {
+                // What is fitted to the same readings is the same.
+                break;
             }
             model = fit(&self.readings, &self.kept)?;
         }
