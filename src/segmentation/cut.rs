@@ -4,7 +4,8 @@
 //! steps, for as many lanes at once as the processor's vectors hold. The error of a line that is continued
 //! backwards by one reading is what it was and the squared error of its prediction of that reading, times a
 //! factor that depends on the positions of the steps alone: so a longer line costs a few operations more,
-//! and no difference of large sums is taken. Runs that go on in the next segment are joined.
+//! and no difference of large sums is taken. Runs that go on in the next segment are joined. Where so many
+//! steps are too wide an angle for a segment, the programme goes over whole lanes.
 
 use super::field::Field;
 use super::run::Run;
@@ -495,4 +496,35 @@ fn shared_by_lanes<S: Simd>(simd: S, table: &Table) -> ([S::f32s; 4], S::f32s) {
         simd.splat_f32s(table.gamma),
     ];
     (shared, simd.splat_f32s(table.length))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scan::PointGrid;
+    use crate::segmentation::{RangeNoise, ReadingErrors};
+
+    #[test]
+    fn only_fine_lanes_have_runs_that_are_longer_than_a_segment() {
+        for (pitch_rad, is_fine) in [(0.004_f32, true), (0.009, false)] {
+            let points = (0..64 * 20).map(|i| {
+                let (tilt, bearing) = ((i / 20) as f32 * pitch_rad, (i % 20) as f32 * 0.02);
+                let ray = [tilt.cos() * bearing.cos(), bearing.sin(), -tilt.sin() * bearing.cos()];
+                ray.map(|v| v * 3.0 / ray[0])
+            });
+            let mut field = Field::default();
+            field.load(&PointGrid::new(64, 20, points.collect()));
+            field.set_errors(ReadingErrors::independent(RangeNoise::uniform(0.01)));
+            let mut cutter = Cutter::default();
+            cutter.cut(&field);
+            for lane in 0..field.lanes {
+                let (mut end, mut longest) = (0, 0);
+                cutter.for_each_run(&field, lane, |run| {
+                    assert_eq!(run.first, end);
+                    (end, longest) = (run.end, longest.max(run.len()));
+                });
+                assert_eq!((end, longest > SEGMENT), (64, is_fine), "lane {lane}: {longest}");
+            }
+        }
+    }
 }
