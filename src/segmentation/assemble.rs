@@ -352,8 +352,7 @@ impl Assembler {
     /// The sums of a component, about the plane `q · p = 1`.
     fn sum_up(&mut self, field: &Field, component: usize, q: [f64; 3]) -> PlaneSums {
         let cell = self.middle(component);
-        let anchor = [field.x[cell], field.y[cell], field.z[cell]];
-        let q = q.map(|v| v as f32);
+        let reference = Reference::new(q, field.point(cell));
         let columns = Columns {
             x: &field.x,
             y: &field.y,
@@ -363,7 +362,7 @@ impl Assembler {
             fit_gain: &self.fit_gain,
         };
         let runs = self.components.runs(component);
-        PlaneSums::over(Reference { q, anchor }, columns, runs, &mut self.packed)
+        PlaneSums::over(reference, columns, runs, &mut self.packed)
     }
 
     /// The shape of a component that the plane of its label does not explain.

@@ -31,10 +31,13 @@ pub(super) struct Components {
 struct Run {
     first: u32,
     end: u32,
+    label: u32,
     /// A run of the same component that comes before, or the run itself; in the end the component.
     parent: u32,
 }
 
+/// Cells that are compared with the next ones at a time.
+const COMPARED: usize = 8;
 /// Cells that are filled at a time.
 const FILLED: usize = 16;
 
@@ -143,7 +146,7 @@ impl Components {
     /// comparing it with the one before it.
     pub fn find(&mut self, labels: &[u32], width: usize) {
         self.find_runs(labels, width);
-        self.join_runs(labels);
+        self.join_runs();
         self.number_runs();
         self.of_cell.resize(labels.len(), NONE);
         self.sorted.resize(self.runs.len(), (0, 0));
@@ -167,18 +170,30 @@ impl Components {
         self.changes.resize(width + 1, 0);
         for (row, labels) in labels.chunks_exact(width.max(1)).enumerate() {
             self.row_starts.push(self.runs.len());
-            // Where labels change is hard to foretell, so no branch depends on it.
+            // Where labels change is hard to foretell, so no branch depends on it but for several at once.
             let mut count = 1;
-            for (column, pair) in (1..).zip(labels.windows(2)) {
-                self.changes[count] = column;
-                count += usize::from(pair[0] != pair[1]);
+            let (here, next) = (labels, labels.get(1..).unwrap_or_default());
+            let (here_parts, next_parts) = (here.as_chunks::<COMPARED>().0, next.as_chunks().0);
+            for (part, (here, next)) in here_parts.iter().zip(next_parts).enumerate() {
+                if here != next {
+                    for (column, (a, b)) in (part * COMPARED + 1..).zip(here.iter().zip(next)) {
+                        self.changes[count] = column as u32;
+                        count += usize::from(a != b);
+                    }
+                }
+            }
+            for column in next.len() / COMPARED * COMPARED + 1..width {
+                self.changes[count] = column as u32;
+                count += usize::from(labels[column - 1] != labels[column]);
             }
             self.changes[count] = width as u32;
             let first = (row * width) as u32;
             for ends in self.changes[..=count].windows(2) {
-                if labels[ends[0] as usize] != 0 {
+                let label = labels[ends[0] as usize];
+                if label != 0 {
                     let parent = self.runs.len() as u32;
-                    self.runs.push(Run { first: first + ends[0], end: first + ends[1], parent });
+                    let (first, end) = (first + ends[0], first + ends[1]);
+                    self.runs.push(Run { first, end, label, parent });
                 }
             }
         }
@@ -186,7 +201,7 @@ impl Components {
     }
 
     /// Joins runs of one label that touch, corners included, to trees whose root comes first.
-    fn join_runs(&mut self, labels: &[u32]) {
+    fn join_runs(&mut self) {
         for row in 1..self.row_starts.len().saturating_sub(1) {
             let (mut above, end) = (self.row_starts[row - 1], self.row_starts[row]);
             for here in end..self.row_starts[row + 1] {
@@ -197,8 +212,7 @@ impl Components {
                 }
                 let mut other = above;
                 while other < end && self.runs[other].first <= high {
-                    let label = labels[self.runs[other].first as usize];
-                    if label == labels[run.first as usize] {
+                    if self.runs[other].label == run.label {
                         let (a, b) = (self.root(here as u32), self.root(other as u32));
                         self.runs[a.max(b) as usize].parent = a.min(b);
                     }
@@ -223,7 +237,7 @@ impl Components {
         self.filled.clear();
         self.sizes.clear();
         for k in 0..self.runs.len() {
-            let Run { first, end, parent } = self.runs[k];
+            let Run { first, end, parent, .. } = self.runs[k];
             // A parent comes before its children, so it has its number already.
             let component = if parent as usize == k {
                 self.filled.push(0);

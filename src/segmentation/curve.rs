@@ -56,6 +56,14 @@ enum Guess {
     Ball,
 }
 
+/// Whether a stick fits the model at hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Asked {
+    Not,
+    Fits,
+    Refused,
+}
+
 /// Buffers of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CurveFinder {
@@ -63,7 +71,9 @@ pub(super) struct CurveFinder {
     guesses: Vec<(f64, u32, u32)>,
     readings: Readings,
     set: Vec<u32>,
-    in_set: Vec<bool>,
+    refused: Vec<u32>,
+    /// What is known of each stick while a set grows.
+    asked: Vec<Asked>,
     shares: Vec<(u32, f64)>,
     bounds: Vec<usize>,
     weights: Vec<f64>,
@@ -89,8 +99,8 @@ impl CurveFinder {
         self.models.clear();
         self.models.resize(grower.regions.len(), None);
         self.facets.load(sticks, grower);
-        self.in_set.clear();
-        self.in_set.resize(sticks.sticks.len(), false);
+        self.asked.clear();
+        self.asked.resize(sticks.sticks.len(), Asked::Not);
         self.collect_guesses(grower, limits);
         self.guesses.truncate(FEWEST_GUESSES + field.len() / CELLS_PER_GUESS);
         for k in 0..self.guesses.len() {
@@ -127,7 +137,8 @@ impl CurveFinder {
     }
 
     /// The sphere or cylinder that explains two facets, or, where these have one lane each, which
-    /// leaves the circle open, the best that explains them and a third beside them.
+    /// leaves the circle open, or two, whose plane is hardly known, the best that explains them and a
+    /// third beside them.
     fn best_guess(
         &mut self,
         sticks: &Sticks,
@@ -137,8 +148,12 @@ impl CurveFinder {
         limits: &ShapeLimits,
     ) -> Option<(Model, [u32; 3])> {
         if !(self.facets.is_one_lane(a) && self.facets.is_one_lane(b)) {
-            let guess = self.guess(sticks, grower, [a, b, b], limits)?;
-            return Some((guess.1, [a, b, b]));
+            if let Some(guess) = self.guess(sticks, grower, [a, b, b], limits) {
+                return Some((guess.1, [a, b, b]));
+            }
+            if !(self.facets.is_narrow(a) && self.facets.is_narrow(b)) {
+                return None;
+            }
         }
         let mut best: Option<(f64, Model, [u32; 3])> = None;
         let around_a = self.facets.near(a).len();
@@ -148,9 +163,8 @@ impl CurveFinder {
                 Some(k) => self.facets.near(b)[k],
             };
             let spans = [a, b, third].map(|region| self.facets.lanes(region));
-            let narrow = spans[2].1 - spans[2].0 < 2;
             if self.facets.left[third as usize] == 0
-                || !narrow
+                || !self.facets.is_narrow(third)
                 || spans[2] == spans[0]
                 || spans[2] == spans[1]
             {
@@ -232,7 +246,7 @@ impl CurveFinder {
             self.errors.extend((0..readings.len()).map(|i| {
                 model.error(&readings.points[i], &readings.rays[i], readings.sigmas[i]).powi(2)
             }));
-            let (mut sum, mut count) = (0.0, 0.0);
+            let (mut sum, mut count, mut changed) = (0.0, 0.0, false);
             for bounds in self.bounds.windows(2) {
                 let part = bounds[0]..bounds[1];
                 self.sorted.clear();
@@ -241,6 +255,7 @@ impl CurveFinder {
                 let limit = *self.sorted.select_nth_unstable_by(last, f64::total_cmp).1;
                 for i in part {
                     let kept = if self.errors[i] <= limit { 1.0 } else { 0.0 };
+                    changed |= self.kept[i] != kept * self.weights[i];
                     self.kept[i] = kept * self.weights[i];
                     sum += kept * self.errors[i];
                     count += kept;
@@ -249,6 +264,10 @@ impl CurveFinder {
             mean = sum / count;
             if mean > HOPELESS {
                 return None;
+            }
+            if !changed {
+                // What is fitted to the same readings is the same.
+                break;
             }
             model = fit(&self.readings, &self.kept)?;
         }
@@ -294,17 +313,22 @@ impl CurveFinder {
     /// The connected sticks that fit a model, from the sticks of the facets on.
     fn grow(&mut self, sticks: &Sticks, grower: &Grower, facets: [u32; 3], model: &Model) {
         self.set.clear();
+        self.refused.clear();
         let mut readings = 0.0;
         for facet in facets {
             for &s in self.facets.sticks(facet) {
+                let asked = &mut self.asked[s as usize];
+                if grower.region_of[s as usize] != facet || *asked != Asked::Not {
+                    continue;
+                }
                 let stick = &sticks.sticks[s as usize];
-                if grower.region_of[s as usize] == facet
-                    && !self.in_set[s as usize]
-                    && fits(model, stick, &self.trust)
-                {
+                if fits(model, stick, &self.trust) {
                     self.set.push(s);
-                    self.in_set[s as usize] = true;
+                    *asked = Asked::Fits;
                     readings += stick.n;
+                } else {
+                    self.refused.push(s);
+                    *asked = Asked::Refused;
                 }
             }
         }
@@ -313,22 +337,31 @@ impl CurveFinder {
             let stick = self.set[at];
             at += 1;
             for s in sticks.around(stick).into_iter().flatten() {
+                let asked = &mut self.asked[s as usize];
+                if *asked != Asked::Not {
+                    continue;
+                }
                 let region = grower.region_of[s as usize];
                 let owner = grower.regions[region as usize].moments.n;
-                let other = &sticks.sticks[s as usize];
-                if !self.in_set[s as usize]
-                    && self.models[region as usize].is_none()
-                    && (region == 0 || owner < UNTOUCHABLE * readings)
-                    && fits(model, other, &self.trust)
+                if self.models[region as usize].is_some()
+                    || (region != 0 && owner >= UNTOUCHABLE * readings)
                 {
+                    continue;
+                }
+                let other = &sticks.sticks[s as usize];
+                if fits(model, other, &self.trust) {
                     self.set.push(s);
-                    self.in_set[s as usize] = true;
+                    *asked = Asked::Fits;
                     readings += other.n;
+                } else {
+                    // Several of the set touch it.
+                    self.refused.push(s);
+                    *asked = Asked::Refused;
                 }
             }
         }
-        for &s in &self.set {
-            self.in_set[s as usize] = false;
+        for &s in self.set.iter().chain(&self.refused) {
+            self.asked[s as usize] = Asked::Not;
         }
     }
 
@@ -404,7 +437,16 @@ fn deviation(model: &Model, end: [f64; 3]) -> f64 {
 
 fn fits(model: &Model, stick: &Stick, errors: &ReadingErrors) -> bool {
     let gate = GATE * errors.mean_variance(0.5 * stick.n).sqrt() + SLACK;
-    stick.ends.iter().all(|&end| deviation(model, end).powi(2) * stick.gain < gate * gate)
+    stick.ends.iter().all(|&end| {
+        let p = Vector3::from(end);
+        let Some((radial, radius_m)) = model.radial(&p) else {
+            return (deviation(model, end) * stick.root_gain).abs() < gate;
+        };
+        // As the deviation has it, times the distance from the axis or the centre: nothing is divided.
+        let length = radial.norm();
+        let incidence = radial.dot(&p).abs().max(LEAST_COSINE * p.norm() * length);
+        (length - radius_m).abs() * length * stick.root_gain < gate * incidence
+    })
 }
 
 fn stick_error(model: &Model, stick: &Stick) -> f64 {

@@ -97,6 +97,12 @@ impl Facets {
         first == last
     }
 
+    /// Whether a region is two lanes wide at most.
+    pub fn is_narrow(&self, region: u32) -> bool {
+        let (first, last) = self.lanes(region);
+        last - first < 2
+    }
+
     /// Whether a region may be a facet of a surface of at most `radius_m`.
     ///
     /// A plane of width w errs by up to w² / 12 R from a cylinder, and growth stops at about twice

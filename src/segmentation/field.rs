@@ -18,7 +18,7 @@ const SATURATED: f32 = 0.9985;
 /// Fewest saturated readings that are believed to be some.
 const FEWEST_SATURATED: u32 = 32;
 /// Pairs of cells that are looked at to measure one angular pitch.
-const PITCH_SAMPLES: usize = 256;
+const PITCH_SAMPLES: usize = 64;
 /// Lanes that are looked at to measure the pitch between two steps.
 const LANE_SAMPLES: usize = 9;
 
@@ -44,12 +44,16 @@ pub(super) struct Field {
     pub saturated: usize,
     /// What the readings err by.
     pub errors: ReadingErrors,
+    /// The same for regions of several lanes: with what all of a lane errs by alike.
+    pub lane_errors: ReadingErrors,
     /// Range over its standard deviation; zero where there is no return.
     pub gain: Vec<f32>,
     /// What is known of the errors of the grid's rows, see [`PointGrid::row_sigmas_rad`].
     pub row_sigmas_rad: Vec<f32>,
     /// Which cells are on its rim.
     pub rim: Rim,
+    /// Ranges of the nearest and of the farthest return.
+    pub extent: [f32; 2],
     samples: Vec<f32>,
     turned: Vec<[f32; 3]>,
 }
@@ -75,7 +79,7 @@ impl Field {
 
     /// Sets what the readings err by, and the gains that follow from it.
     pub fn set_errors(&mut self, errors: ReadingErrors) {
-        self.errors = errors;
+        (self.errors, self.lane_errors) = (errors, errors);
         let noise = errors.noise;
         let [constant, square, fourth] =
             [noise.constant, noise.square, noise.fourth].map(|factor| factor as f32);
@@ -150,8 +154,7 @@ impl Field {
         Arch::new().dispatch(Fill { points: &points[..length], arrays: [x, y, z, range, inverse] });
     }
 
-    /// Ranges of the nearest and of the farthest return.
-    pub fn extent(&self) -> [f32; 2] {
+    fn find_extent(&self) -> [f32; 2] {
         // Positive numbers are in the order of their bits, which can be compared many at a time; with
         // one less of them a range of none is beyond all.
         let (low, high) = Arch::new().dispatch(Extent(&self.range));
@@ -166,7 +169,8 @@ impl Field {
     /// acos(1 / 1.0015) = 3.1° of its foot: the mean of their directions is nearly of unit length.
     fn drop_saturated(&mut self) {
         self.saturated = 0;
-        let [_, greatest] = self.extent();
+        self.extent = self.find_extent();
+        let [_, greatest] = self.extent;
         let limit = (SATURATED * greatest).max(f32::MIN_POSITIVE);
         let near = Arch::new().dispatch(Count { range: &self.range, least: limit });
         if near < FEWEST_SATURATED {
@@ -194,6 +198,7 @@ impl Field {
             }
         }
         self.saturated = count;
+        self.extent = self.find_extent();
     }
 
     /// The angle of each step from the first: tilts need not be evenly spaced.
@@ -201,22 +206,36 @@ impl Field {
         self.positions.clear();
         let stride = self.lanes.div_ceil(LANE_SAMPLES).max(1);
         let mut position = 0.0;
+        // Where the rays of the sampled lanes point at the step before.
+        let mut before = [None; LANE_SAMPLES];
         for step in 0..self.steps {
-            self.positions.push(position);
-            if step + 1 == self.steps {
-                break;
-            }
-            self.samples.clear();
-            for lane in (stride / 2..self.lanes).step_by(stride) {
-                let a = step * self.lanes + lane;
-                let b = a + self.lanes;
-                if self.is_valid(a) && self.is_valid(b) {
-                    self.samples.push(self.square_chord(a, b));
+            let mut squares = [0.0; LANE_SAMPLES];
+            let mut count = 0;
+            let lanes = (stride / 2..self.lanes).step_by(stride);
+            for (lane, before) in lanes.zip(&mut before) {
+                let cell = step * self.lanes + lane;
+                let scale = self.inverse[cell];
+                let ray = [self.x[cell], self.y[cell], self.z[cell]].map(|v| v * scale);
+                let ray = (scale > 0.0).then_some(ray);
+                if let (Some(before), Some(ray)) = (*before, ray) {
+                    squares[count] = square_chord(before, ray);
+                    count += 1;
                 }
+                *before = ray;
             }
-            let gap = median(&mut self.samples).map_or(self.along_rad, f32::sqrt);
+            if step == 0 {
+                self.positions.push(position);
+                continue;
+            }
+            let middle = if count == LANE_SAMPLES {
+                Some(middle_of_nine(squares))
+            } else {
+                median(&mut squares[..count])
+            };
+            let gap = middle.map_or(self.along_rad, f32::sqrt);
             // Equal rows would make filters singular.
             position += gap.max(0.05 * self.along_rad).max(1e-6);
+            self.positions.push(position);
         }
     }
 
@@ -362,6 +381,21 @@ fn median_pitch(
     }
     samples.truncate(count);
     median(samples).map_or(f32::INFINITY, |square| square.sqrt().max(1e-6))
+}
+
+/// The fifth of nine numbers by their size: the middle one of the greatest of the least of three groups of
+/// three, of the middle one of their middles, and of the least of their greatest.
+fn middle_of_nine(values: [f32; 9]) -> f32 {
+    let ordered = |a: f32, b: f32, c: f32| {
+        let (low, high) = (a.min(b), a.max(b));
+        [low.min(c), low.max(high.min(c)), high.max(c)]
+    };
+    let [a, b, c, d, e, f, g, h, i] = values;
+    let (first, second, third) = (ordered(a, b, c), ordered(d, e, f), ordered(g, h, i));
+    let greatest = first[0].max(second[0]).max(third[0]);
+    let middle = ordered(first[1], second[1], third[1])[1];
+    let least = first[2].min(second[2]).min(third[2]);
+    ordered(greatest, middle, least)[1]
 }
 
 /// So many values are counted faster than parted.

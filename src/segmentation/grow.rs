@@ -58,28 +58,32 @@ impl Plane {
     #[inline]
     pub fn fits(&self, stick: &Stick, errors: &ReadingErrors) -> bool {
         let [xx, xy, xz, yy, yz, zz] = self.covariance;
-        let unit = stick.gain;
-        let squares = stick.ends.map(|[x, y, z]| {
-            let deviation = self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0;
-            deviation * deviation * unit
+        let deviations = stick.ends.map(|[x, y, z]| {
+            (self.q[0] * x + self.q[1] * y + self.q[2] * z - 1.0).abs() * stick.root_gain
         });
         // No gate lets this pass.
-        if squares[0].max(squares[1]) >= WIDEST_GATE * WIDEST_GATE {
+        if deviations[0].max(deviations[1]) >= WIDEST_GATE {
             return false;
         }
+        let unit = stick.gain;
         // Both ends at once: one that is told first spares less than a branch costs.
-        let gates = stick.ends.map(|[x, y, z]| {
+        let variances = stick.ends.map(|[x, y, z]| {
             let known =
                 xx * x * x + yy * y * y + zz * z * z + 2.0 * (xy * x * y + xz * x * z + yz * y * z);
             // Each end stands for half the readings.
-            let mut variance = 2.0 / stick.n + unit * known;
+            let mut variance = 2.0 * stick.per_reading + unit * known;
             if errors.common > 0.0 {
                 let common = 1.0 + (errors.patch * unit * known).min(MOST_COMMON);
                 variance = (1.0 - errors.common) * variance + errors.common * common;
             }
-            GATE * variance.sqrt() + SLACK
+            variance
         });
-        let passes = |k: usize| (gates[k] < WIDEST_GATE) & (squares[k] < gates[k] * gates[k]);
+        // `deviation < GATE √variance + SLACK`, and that gate below the widest, without a root.
+        const WIDEST: f64 = (WIDEST_GATE - SLACK) / GATE;
+        let passes = |k: usize| {
+            let beyond = (deviations[k] - SLACK).max(0.0) * (1.0 / GATE);
+            (variances[k] < WIDEST * WIDEST) & (beyond * beyond < variances[k])
+        };
         passes(0) & passes(1)
     }
 }
@@ -166,7 +170,7 @@ impl Grower {
             }
         }
         region.plane = Plane::of(&region.moments);
-        if region.moments.error(&region.plane.q) > SEED_ERROR * field.errors.run {
+        if region.moments.error(&region.plane.q) > SEED_ERROR * field.lane_errors.run {
             return;
         }
         self.front.clear();
@@ -208,7 +212,7 @@ impl Grower {
             }
             for &s in &self.free[..free] {
                 let other = &sticks.sticks[s as usize];
-                if !region.plane.fits(other, &field.errors) {
+                if !region.plane.fits(other, &field.lane_errors) {
                     continue;
                 }
                 self.region_of[s as usize] = label;
@@ -227,22 +231,21 @@ impl Grower {
 
     /// Merges neighbouring regions that one plane explains.
     fn merge(&mut self, field: &Field, sticks: &Sticks) {
-        self.merger.clear_pairs();
-        for s in 0..sticks.sticks.len() as u32 {
-            let region = self.region_of[s as usize];
-            if region != 0 {
-                for others in sticks.after(s) {
-                    let others = &self.region_of[others.start as usize..others.end as usize];
-                    if others.iter().fold(0, |all, other| all | (other ^ region)) != 0 {
-                        others.iter().for_each(|&other| self.merger.push_pair(region, other));
+        let Self { merger, region_of, regions, .. } = self;
+        merger.list_pairs(regions.len(), |touching| {
+            for s in 0..sticks.sticks.len() as u32 {
+                let region = region_of[s as usize];
+                if region != 0 {
+                    for others in sticks.after(s) {
+                        let others = &region_of[others.start as usize..others.end as usize];
+                        touching.add(region, others.iter().copied());
                     }
                 }
             }
-        }
-        self.merger.sort_pairs();
+        });
         self.moments.clear();
         self.moments.extend(self.regions.iter().map(|region| region.moments));
-        self.merger.merge(&mut self.moments, &field.errors, |_| true);
+        self.merger.merge(&mut self.moments, &field.lane_errors, |_| true);
         for (region, moments) in self.regions.iter_mut().zip(&self.moments) {
             if region.moments.n != moments.n {
                 *region = Region { moments: *moments, plane: Plane::of(moments) };

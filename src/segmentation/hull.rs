@@ -119,6 +119,8 @@ impl HullFinder {
     ) {
         self.ends.clear();
         let mut row_end = 0;
+        // First and end of the columns of all rows.
+        let mut all = (usize::MAX, 0);
         for run in runs.clone() {
             // Successive runs of a row end it later each.
             if run.start < row_end
@@ -129,19 +131,30 @@ impl HullFinder {
                 row_end = (run.start / width + 1) * width;
                 self.ends.extend([run.start as u32, run.end as u32 - 1]);
             }
+            let row = row_end - width;
+            all = (all.0.min(run.start - row), all.1.max(run.end - row));
         }
-        self.list_new_columns(width, runs.clone());
-        self.list_new_columns(width, runs.rev());
+        self.list_new_columns(width, all, runs.clone());
+        self.list_new_columns(width, all, runs.rev());
     }
 
-    /// Lists the cells whose columns are beyond those of the rows that were passed.
-    fn list_new_columns(&mut self, width: usize, runs: impl Iterator<Item = Range<usize>>) {
+    /// Lists the cells whose columns are beyond those of the rows that were passed; `all` are the first
+    /// and the end of all.
+    fn list_new_columns(
+        &mut self,
+        width: usize,
+        all: (usize, usize),
+        runs: impl Iterator<Item = Range<usize>>,
+    ) {
         // First and end of the columns of the rows before, and with those of the row at hand, whose own
         // gaps are not passed yet.
         let (mut seen, mut here) = ((usize::MAX, 0), (usize::MAX, 0));
         let mut row = 0;
         for run in runs {
             if run.start < row || run.start >= row + width {
+                if here == all {
+                    break;
+                }
                 seen = here;
                 row = run.start / width * width;
             }

@@ -5,6 +5,7 @@ use super::moments::Moments;
 use super::morphology::neighbours8;
 use super::near::Rim;
 use super::noise::ReadingErrors;
+use super::pairs::{Touching, sort};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rise of the error, in units of the noise, that a merge may always cost: three parameters and an
@@ -12,16 +13,13 @@ use pulp::{Arch, Simd, WithSimd};
 const FREE_RISE: f64 = 25.0;
 /// Further rise per reading of the smaller region: surfaces and sensors are not perfect.
 const RISE_PER_READING: f64 = 0.1;
-/// Pairs that are remembered while others are listed.
-const LATELY: usize = 256;
 
 /// Merges regions, which are numbered from 1.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Merger {
     /// Regions that touch, each pair once, the smaller number first.
     pub pairs: Vec<(u32, u32)>,
-    /// Pairs that were listed lately, each at a place that its labels give: most come again.
-    lately: [(u32, u32); LATELY],
+    touching: Touching,
     parents: Vec<u32>,
     costs: Vec<f64>,
     /// Round in which each region last took another in.
@@ -69,30 +67,18 @@ fn is_region(label: u32) -> bool {
     label != 0 && label != NO_RETURN
 }
 
-impl Default for Merger {
-    fn default() -> Self {
-        Self {
-            pairs: Vec::new(),
-            lately: [(0, 0); LATELY],
-            parents: Vec::new(),
-            costs: Vec::new(),
-            grew: Vec::new(),
-            moved: Vec::new(),
-        }
-    }
-}
-
 impl Merger {
-    /// Forgets all pairs.
-    pub fn clear_pairs(&mut self) {
-        self.pairs.clear();
-        self.lately.fill((0, 0));
-    }
-
-    /// Lists the pairs of labels that touch in an image, corners included. `borders` holds the cells
-    /// at which labels meet, `rim` those at the image's.
-    pub fn pairs_of_labels(&mut self, labels: &[u32], width: usize, rim: &Rim, borders: &[u32]) {
-        self.clear_pairs();
+    /// Lists the pairs of labels that touch in an image, corners included; all are below `count`.
+    /// `borders` holds the cells at which labels meet, `rim` those at the image's.
+    pub fn pairs_of_labels(
+        &mut self,
+        labels: &[u32],
+        count: usize,
+        width: usize,
+        rim: &Rim,
+        borders: &[u32],
+    ) {
+        self.touching.start(count);
         for &cell in borders {
             let cell = cell as usize;
             let label = labels[cell];
@@ -102,40 +88,21 @@ impl Merger {
             // The neighbours before it have looked at it.
             if rim.is_on(cell) {
                 let near = neighbours8(cell, width, labels.len()).filter(|&n| n > cell);
-                near.for_each(|n| self.push_pair(label, labels[n]));
+                self.touching.add(label, near.map(|n| labels[n]));
             } else {
                 let below = &labels[cell + width - 1..cell + width + 2];
                 let others = [labels[cell + 1], below[0], below[1], below[2]];
-                let mut last = label;
-                for other in others {
-                    // Mostly the cell's own, or the same again.
-                    if (other != label) & (other != last) {
-                        self.push_pair(label, other);
-                    }
-                    last = other;
-                }
+                self.touching.add(label, others.into_iter());
             }
         }
-        self.sort_pairs();
+        self.touching.list(&mut self.pairs);
     }
 
-    /// Adds a pair of labels unless they are equal or one is none.
-    pub fn push_pair(&mut self, a: u32, b: u32) {
-        if a == b || !is_region(a) || !is_region(b) {
-            return;
-        }
-        let pair = (a.min(b), a.max(b));
-        let lately = &mut self.lately[(pair.0 * 37 + pair.1) as usize % LATELY];
-        if *lately != pair {
-            *lately = pair;
-            self.pairs.push(pair);
-        }
-    }
-
-    pub fn sort_pairs(&mut self) {
-        // One comparison of a number for each pair.
-        self.pairs.sort_unstable_by_key(|&(a, b)| u64::from(a) << 32 | u64::from(b));
-        self.pairs.dedup();
+    /// Lists pairs of regions below `count` that `find` finds to touch.
+    pub fn list_pairs(&mut self, count: usize, find: impl FnOnce(&mut Touching)) {
+        self.touching.start(count);
+        find(&mut self.touching);
+        self.touching.list(&mut self.pairs);
     }
 
     /// Merges the listed pairs as long as one plane explains both of two regions, in the order of
@@ -186,7 +153,7 @@ impl Merger {
             self.pairs[i] = (a.min(b), a.max(b));
         }
         self.pairs.retain(|&(a, b)| a != b);
-        self.sort_pairs();
+        sort(&mut self.pairs);
     }
 
     /// Replaces labels by those of the regions that theirs have become part of.

@@ -21,7 +21,6 @@ mod fill;
 mod fit;
 mod grow;
 mod hull;
-mod lane_sums;
 mod merge;
 mod moments;
 mod morphology;
@@ -30,8 +29,11 @@ mod noise;
 mod noise_estimate;
 mod noise_model;
 mod outermost;
+mod pairs;
 mod paper;
 mod residual;
+mod run;
+mod segments;
 mod split;
 mod stick_chain;
 mod sticks;
@@ -171,7 +173,7 @@ impl Segmenter {
         let Some(rounding) = grid.rounding() else { return errors };
         let [down, right, patch] = rounding.runs(grid.columns());
         let run = if self.field.transposed { right } else { down };
-        let [nearest, _] = self.field.extent();
+        let [nearest, _] = self.field.extent;
         errors.cut(rounding, (run, patch), f64::from(nearest))
     }
 

@@ -220,7 +220,7 @@ impl NoiseEstimator {
     /// angle, which shows with the slope of the surfaces, and if not, over how many cells the errors
     /// are alike.
     pub fn estimate(&mut self, field: &Field) -> ReadingErrors {
-        let [nearest, farthest] = field.extent();
+        let [nearest, farthest] = field.extent;
         let span = (nearest, RANGE_CLASSES as f32 / (farthest - nearest).max(1e-3));
         if field.knows_row_errors() {
             let (down, right) = if field.transposed { (1, 0) } else { (0, 1) };

@@ -7,7 +7,7 @@ const DIRECTIONS: usize = 8;
 /// Opposite directions are those of one coordinate.
 const COORDINATES: usize = DIRECTIONS / 2;
 /// Vertices of the polygon in the end; what lies inside it is no vertex of the hull.
-const VERTICES: usize = 4 * DIRECTIONS;
+const VERTICES: usize = 2 * DIRECTIONS;
 /// Rounding of an edge's side in single precision, as a share of the square of what coordinates
 /// reach.
 const ROUNDING: f32 = 2e-6;

@@ -156,7 +156,8 @@ impl PaperChain {
             }
         }
         self.borders.find(labels, field.lanes, &mut self.border);
-        self.merger.pairs_of_labels(labels, field.lanes, &field.rim, &self.border);
+        let count = self.moments.len();
+        self.merger.pairs_of_labels(labels, count, field.lanes, &field.rim, &self.border);
         let flat = &self.flat;
         self.merger.merge(&mut self.moments, &field.errors, |label| flat[label as usize - 1]);
         self.merger.follow(labels);

@@ -92,10 +92,11 @@ impl StickChain {
                 self.moments[now as usize].add_point(point, weight);
             }
         }
-        self.merger.pairs_of_labels(labels, field.lanes, &field.rim, &self.competition.border);
+        let (count, border) = (self.moments.len(), &self.competition.border);
+        self.merger.pairs_of_labels(labels, count, field.lanes, &field.rim, border);
         let models = &self.curves.models;
         self.merger
-            .merge(&mut self.moments, &field.errors, |label| models[label as usize].is_none());
+            .merge(&mut self.moments, &field.lane_errors, |label| models[label as usize].is_none());
         self.merger.follow(labels);
         self.changed.clear();
         self.changed.resize(self.rivals.len(), false);

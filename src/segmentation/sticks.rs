@@ -1,34 +1,19 @@
-//! Lanes cut into sticks: the longest runs of cells whose inverse range is a straight line.
+//! Lanes cut into sticks: runs of cells whose inverse range is a straight line.
 //!
-//! The cut of a lane is optimal: it minimises the sum of squared errors of the lines, in units of
-//! the noise, plus a price for each stick; see [`Cutter`]. A stick never crosses an edge that shows
+//! The cut minimises the sum of squared errors of the lines, in units of the noise, plus a price for
+//! each stick, segment by segment of a lane; see [`Cutter`]. A stick never crosses an edge that shows
 //! in its own lane, however narrow the surface, and edges along the lanes lie between sticks by
 //! construction.
 
-use super::cut::{Cutter, LONGEST};
+use super::cut::Cutter;
 use super::field::Field;
-use super::lane_sums::LaneSums;
 use super::moments::Moments;
+use super::run::Run;
 use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
 
 /// Most cells without a return between two sticks of a lane that are still neighbours.
 const BRIDGED: u32 = 2;
-
-/// Whole steps from the first of so many to the nearer of the two points that stand for them, where
-/// they are evenly spaced: `(n - 1) / 2 - √((n² - 1) / 12)`.
-const INNER: [usize; LONGEST + 1] = [0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2];
-
-/// One over each number of cells.
-const SHARES: [f64; LONGEST + 1] = {
-    let mut shares = [0.0; LONGEST + 1];
-    let mut count = 1;
-    while count <= LONGEST {
-        shares[count] = 1.0 / count as f64;
-        count += 1;
-    }
-    shares
-};
 
 /// A run of cells on one lane, `first..=last` steps, all of them valid.
 #[derive(Clone, Copy, Debug)]
@@ -41,10 +26,12 @@ pub(super) struct Stick {
     pub ends: [[f64; 3]; 2],
     /// Weight `r² / σ²` of each end, times half the number of readings.
     pub weight: f64,
-    /// The same of one reading.
+    /// The same of one reading, and its root.
     pub gain: f64,
-    /// Number of readings.
+    pub root_gain: f64,
+    /// Number of readings, and one over it.
     pub n: f64,
+    pub per_reading: f64,
     /// Sum of squared errors of the readings about the line, in units of their noise.
     pub error: f64,
 }
@@ -86,10 +73,6 @@ pub(super) struct Sticks {
     /// Sticks of the lane before, of its own and of the lane after that touch each stick, corners
     /// included: first and end each. Its own are a stick itself and those next to it.
     beside: Vec<[[u32; 2]; 3]>,
-    /// Sums of the positions of the steps and of their squares, up to each step.
-    sums: Vec<[f64; 2]>,
-    /// Sums of the lanes of a block.
-    lane_sums: LaneSums,
     /// One over the difference of the positions of each step and the next.
     per_gap: Vec<f32>,
     /// For each step how many sticks begin up to it, and the lanes and labels of sticks in the order of
@@ -134,45 +117,27 @@ impl WithSimd for Paint<'_> {
 impl Sticks {
     /// Cuts all lanes of a field.
     pub fn cut(&mut self, field: &Field) {
-        self.cutter.start(field);
-        self.sums.clear();
-        let mut sum = [0.0; 2];
-        self.sums.push(sum);
-        for &position in &field.positions {
-            let position = f64::from(position);
-            sum = [sum[0] + position, sum[1] + position * position];
-            self.sums.push(sum);
-        }
+        self.cutter.cut(field);
         self.per_gap.clear();
         self.per_gap.extend(field.positions.windows(2).map(|pair| 1.0 / (pair[1] - pair[0])));
         self.collect(field);
         self.link();
     }
 
-    /// Cuts block after block of lanes, walks every lane back from its end and lists its sticks.
+    /// Lists the sticks of all lanes.
     fn collect(&mut self, field: &Field) {
         self.sticks.clear();
         self.starts.clear();
         self.spans.clear();
-        let mut block = 0;
-        while block < field.lanes {
-            let width = self.cutter.cut(field, block);
-            self.lane_sums.sum_up(self.cutter.inverse(), width, &field.positions);
-            for lane in block..field.lanes.min(block + width) {
-                let begin = self.spans.len();
-                self.starts.push(begin as u32);
-                self.cutter.for_each_run(lane - block, |run| self.spans.push(run));
-                self.spans[begin..].reverse();
-                for stick in begin..self.spans.len() {
-                    let [first, last] = self.spans[stick];
-                    let sums =
-                        self.lane_sums.between(lane - block, first as usize, last as usize + 1);
-                    self.sticks.push(self.measure(field, lane, [first, last], sums));
-                }
-            }
-            block += width;
+        let Self { sticks, cutter, starts, spans, per_gap, .. } = self;
+        for lane in 0..field.lanes {
+            starts.push(spans.len() as u32);
+            cutter.for_each_run(field, lane, |run| {
+                spans.push([run.first, run.end - 1]);
+                sticks.push(measure(field, per_gap, lane, run));
+            });
         }
-        self.starts.push(self.sticks.len() as u32);
+        starts.push(sticks.len() as u32);
     }
 
     /// Gives the cells of each stick a label, and those without a return another one.
@@ -254,93 +219,85 @@ impl Sticks {
         let [_, [_, end], [first_after, end_after]] = self.beside[stick as usize];
         [stick + 1..end, first_after..end_after]
     }
+}
 
-    /// The line of a stick and the two points that stand for it; the sums are those of its cells.
-    #[inline]
-    fn measure(
-        &self,
-        field: &Field,
-        lane: usize,
-        [first, last]: [u32; 2],
-        [f1, tf, f2]: [f64; 3],
-    ) -> Stick {
-        let (begin, end) = (first as usize, last as usize + 1);
-        let count = end - begin;
-        let n = count as f64;
-        let (low, high) = (self.sums[begin], self.sums[end]);
-        let (t1, t2) = (high[0] - low[0], high[1] - low[1]);
-        let share = SHARES[count];
-        let (mean_t, middle) = (t1 * share, f1 * share);
-        let scatter = (t2 - t1 * mean_t).max(0.0);
-        let product = tf - t1 * middle;
-        let slope = if count > 1 { product / scatter } else { 0.0 };
-        let reach = (scatter * share).sqrt();
-        let left = (f2 - f1 * middle - slope * product).max(0.0);
-        let guess = INNER[count];
-        let guesses = [guess, count.saturating_sub(2 + guess)];
-        // Inverse ranges at the two points, and from one division the ranges.
-        let (low, high) = (middle - slope * reach, middle + slope * reach);
-        let per_product = 1.0 / (low * high);
-        let end_at = |t: f64, range: f64, guess: usize| {
-            let [x, y, z] = self.ray_at(field, lane, [begin, end], (mean_t + t) as f32, guess);
-            [f64::from(x) * range, f64::from(y) * range, f64::from(z) * range]
-        };
-        let ends = [
-            end_at(-reach, high * per_product, guesses[0]),
-            end_at(reach, low * per_product, guesses[1]),
-        ];
-        // The gain changes smoothly along a stick.
-        let gain_at = |step: usize| f64::from(field.gain[step * field.lanes + lane]).powi(2);
-        let gain = (gain_at(begin) + gain_at(begin + count / 2) + gain_at(end - 1)) * (1.0 / 3.0);
-        Stick {
-            lane: lane as u32,
-            first,
-            last,
-            ends,
-            weight: 0.5 * gain * n,
-            gain,
-            n,
-            error: left * per_product * gain,
-        }
+/// The stick of a run, and the two points that stand for it.
+#[inline]
+fn measure(field: &Field, per_gap: &[f32], lane: usize, run: &Run) -> Stick {
+    let (begin, end) = (run.first as usize, run.end as usize);
+    let count = end - begin;
+    let n = count as f64;
+    let per_reading = 1.0 / count as f32;
+    let reach = (run.scatter * per_reading).sqrt();
+    // Whole steps from the first to the nearer of the two points where they are evenly spaced:
+    // `(n - 1) / 2 - √((n² - 1) / 12)`.
+    let guess = (0.211_325 * count as f32 - 0.5).max(0.0) as usize;
+    let guesses = [guess, count.saturating_sub(2 + guess)];
+    // Inverse ranges at the two points, and from one division the ranges.
+    let rise = run.slope * reach;
+    let (low, high) = (run.inverse - rise, run.inverse + rise);
+    let per_product = 1.0 / (low * high);
+    let end_at = |position: f32, range: f32, guess: usize| {
+        let ray = ray_at(field, per_gap, lane, [begin, end], position, guess);
+        ray.map(|v| f64::from(v * range))
+    };
+    let ends = [
+        end_at(run.middle - reach, high * per_product, guesses[0]),
+        end_at(run.middle + reach, low * per_product, guesses[1]),
+    ];
+    // The gain changes smoothly along a stick.
+    let gain_at = |step: usize| field.gain[step * field.lanes + lane].powi(2);
+    let gain = (gain_at(begin) + gain_at(begin + count / 2) + gain_at(end - 1)) * (1.0 / 3.0);
+    let (gain, root_gain) = (f64::from(gain), f64::from(gain.sqrt()));
+    Stick {
+        lane: lane as u32,
+        first: run.first,
+        last: run.end - 1,
+        ends,
+        weight: 0.5 * gain * n,
+        gain,
+        root_gain,
+        n,
+        per_reading: f64::from(per_reading),
+        error: f64::from(run.error * per_product) * gain,
     }
+}
 
-    /// The ray of a lane at a position of `begin..end` steps; `guess` is between which of them, counted
-    /// from the first, that is about.
-    #[inline(always)]
-    fn ray_at(
-        &self,
-        field: &Field,
-        lane: usize,
-        [begin, end]: [usize; 2],
-        position: f32,
-        guess: usize,
-    ) -> [f32; 3] {
-        let lanes = field.lanes;
-        let at = begin * lanes + lane;
-        if end - begin == 1 {
-            let inverse = field.inverse[at];
-            return [field.x[at] * inverse, field.y[at] * inverse, field.z[at] * inverse];
-        }
-        let positions = &field.positions[begin..end];
-        let most = positions.len() - 2;
-        let mut step = guess.min(most);
-        while step > 0 && positions[step] >= position {
-            step -= 1;
-        }
-        while step < most && positions[step + 1] < position {
-            step += 1;
-        }
-        let share = (position - positions[step]) * self.per_gap[begin + step];
-        let share = share.clamp(0.0, 1.0);
-        // Of one line between two rays, whose parts are inverse ranges times coordinates.
-        let first = at + step * lanes;
-        let ends = |array: &[f32]| {
-            let pair = &array[first..first + lanes + 1];
-            (pair[0], pair[lanes])
-        };
-        let (inverse, x, y, z) =
-            (ends(&field.inverse), ends(&field.x), ends(&field.y), ends(&field.z));
-        let (u, v) = ((1.0 - share) * inverse.0, share * inverse.1);
-        [u * x.0 + v * x.1, u * y.0 + v * y.1, u * z.0 + v * z.1]
+/// The ray of a lane at a position of `begin..end` steps; `guess` is between which of them, counted
+/// from the first, that is about.
+#[inline(always)]
+fn ray_at(
+    field: &Field,
+    per_gap: &[f32],
+    lane: usize,
+    [begin, end]: [usize; 2],
+    position: f32,
+    guess: usize,
+) -> [f32; 3] {
+    let lanes = field.lanes;
+    let at = begin * lanes + lane;
+    if end - begin == 1 {
+        let inverse = field.inverse[at];
+        return [field.x[at] * inverse, field.y[at] * inverse, field.z[at] * inverse];
     }
+    let positions = &field.positions[begin..end];
+    let most = positions.len() - 2;
+    let mut step = guess.min(most);
+    while step > 0 && positions[step] >= position {
+        step -= 1;
+    }
+    while step < most && positions[step + 1] < position {
+        step += 1;
+    }
+    let share = (position - positions[step]) * per_gap[begin + step];
+    let share = share.clamp(0.0, 1.0);
+    // Of one line between two rays, whose parts are inverse ranges times coordinates.
+    let first = at + step * lanes;
+    let ends = |array: &[f32]| {
+        let pair = &array[first..first + lanes + 1];
+        (pair[0], pair[lanes])
+    };
+    let (inverse, x, y, z) = (ends(&field.inverse), ends(&field.x), ends(&field.y), ends(&field.z));
+    let (u, v) = ((1.0 - share) * inverse.0, share * inverse.1);
+    [u * x.0 + v * x.1, u * y.0 + v * y.1, u * z.0 + v * z.1]
 }

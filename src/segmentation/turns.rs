@@ -2,6 +2,7 @@
 //! 0.05° moves a reading by more than its own noise does, and all readings of its row alike.
 
 use super::field::{Field, median};
+use super::segments::SEGMENT;
 
 /// Angle over which slopes are told, and the steepest that is believed, in ranges per radian.
 const SLOPE_RAD: f32 = 0.03;
@@ -31,8 +32,28 @@ impl Field {
         if is_known && self.transposed {
             let positions = self.lane_positions();
             self.lower_gains(&known, &positions, (1, self.lanes), self.across_rad);
+            self.set_lane_errors();
         }
         self.row_sigmas_rad = known;
+    }
+
+    /// Tells what the readings of a lane have in common where lanes are the grid's rows: each is off by its
+    /// tilt as a whole, and no number of its readings averages that out.
+    fn set_lane_errors(&mut self) {
+        let (mut common, mut count) = (0.0, 0.0);
+        for (&range, &gain) in self.range.iter().zip(&self.gain) {
+            if range > 0.0 {
+                let range = f64::from(range);
+                let own = self.errors.noise.variance(range) * (f64::from(gain) / range).powi(2);
+                common += (1.0 - own).max(0.0);
+                count += 1.0;
+            }
+        }
+        let common = (common / f64::max(count, 1.0)).max(self.errors.common);
+        let alike = 1.0 + common * (SEGMENT as f64 - 1.0);
+        let errors = &mut self.lane_errors;
+        (errors.common, errors.run) = (common, errors.run.max(alike));
+        errors.patch = errors.patch.max(alike);
     }
 
     /// Lowers the gains by the errors of the angles of parallel lines, whose cells lie `next` apart from line
@@ -166,6 +187,6 @@ mod tests {
             assert!(angle_rad < 0.003, "seed {seed}: {angle_rad}");
             known += share / SEEDS as f64;
         }
-        assert!(known > unknown + 0.1, "{known} beside {unknown}");
+        assert!(known > unknown + 0.1 && known > 0.95, "{known} beside {unknown}");
     }
 }

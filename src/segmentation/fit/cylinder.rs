@@ -126,7 +126,7 @@ fn refine(
     rounds: usize,
 ) -> Option<CylinderFit> {
     let Start { mut axis, mut foot, mut radius_m, .. } = start;
-    let mut fit = None;
+    let mut last = None;
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
@@ -137,8 +137,7 @@ fn refine(
             sum_round::<5>(&readings.rays_by_column, round, phase, stride);
         let (normal, right) = (normal.normal(), normal.right());
         let Some(decomposed) = normal.cholesky() else { break };
-        let inverse = decomposed.inverse();
-        let correction = inverse * right;
+        let correction = decomposed.solve(&right);
         foot += e1 * correction[0] + e2 * correction[1];
         axis = (axis + e1 * correction[2] + e2 * correction[3]).normalize();
         foot += axis * axis.dot(&(centroid - foot));
@@ -148,7 +147,7 @@ fn refine(
         }
         let left = (square - right.dot(&correction)).max(0.0);
         let mean_square = left / ((count - 5.0_f64).max(1.0) * phase.variance());
-        fit = Some(inverse * mean_square.max(1.0));
+        last = Some((decomposed, mean_square.max(1.0)));
         let step = right.dot(&correction) / mean_square.max(1.0);
         if phase == Phase::Rays {
             // All readings had a say, and from within a deviation of the end one round leads to it.
@@ -160,5 +159,8 @@ fn refine(
             phase = next;
         }
     }
-    Some(CylinderFit { foot, axis, radius_m, covariance: fit? })
+    // Only that of the last round is asked for.
+    let (decomposed, scale) = last?;
+    let covariance = decomposed.inverse() * scale;
+    Some(CylinderFit { foot, axis, radius_m, covariance })
 }

@@ -200,6 +200,18 @@ pub(super) enum Model {
 }
 
 impl Model {
+    /// From the centre of a sphere or the axis of a cylinder to a point, and the radius.
+    pub fn radial(&self, p: &Vector3<f64>) -> Option<(Vector3<f64>, f64)> {
+        match self {
+            Model::Plane { .. } => None,
+            Model::Sphere { centre, radius_m } => Some((p - centre, *radius_m)),
+            Model::Cylinder { foot, axis, radius_m } => {
+                let d = p - foot;
+                Some((d - axis * axis.dot(&d), *radius_m))
+            }
+        }
+    }
+
     /// Signed distance of a point from the surface and the surface's normal there.
     pub fn distance(&self, p: &Vector3<f64>) -> (f64, Vector3<f64>) {
         match self {
@@ -220,8 +232,18 @@ impl Model {
 
     /// Error of a reading in standard deviations of its noise.
     pub fn error(&self, p: &Vector3<f64>, ray: &Vector3<f64>, sigma: f64) -> f64 {
-        let (distance, normal) = self.distance(p);
-        distance / (sigma * normal.dot(ray).abs().max(LEAST_COSINE))
+        match self.radial(p) {
+            Some((radial, radius_m)) => {
+                // The radial's length divides the normal, so it need not be divided by.
+                let length = radial.norm().max(1e-9);
+                let incidence = radial.dot(ray).abs().max(LEAST_COSINE * length);
+                (length - radius_m) * length / (sigma * incidence)
+            }
+            None => {
+                let (distance, normal) = self.distance(p);
+                distance / (sigma * normal.dot(ray).abs().max(LEAST_COSINE))
+            }
+        }
     }
 
     /// Number of parameters, the price of the model.

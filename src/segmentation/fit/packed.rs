@@ -1,11 +1,14 @@
-//! Readings of a region put end to end, so that whole vectors of them can be gone through.
+//! What is summed of the readings of a region, put end to end, so that whole vectors of them can be gone
+//! through.
 
-/// Readings that are put together before they are added up, at most.
+use pulp::Simd;
+
+/// Readings that are put together before they are added up, about.
 const FULL: usize = 256;
-/// Readings that are copied at a time.
-const COPIED: usize = 16;
-/// Arrays that are copied.
-const COLUMNS: usize = 6;
+/// Most readings of a vector.
+const WIDEST: usize = 16;
+/// Numbers of a reading.
+const COLUMNS: usize = 4;
 
 /// Runs put end to end: those of most regions are shorter than a vector, or a little longer.
 ///
@@ -13,37 +16,28 @@ const COLUMNS: usize = 6;
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(in super::super) struct Packed {
-    pub columns: [[f32; FULL + COPIED]; COLUMNS],
+    pub columns: [[f32; FULL + WIDEST]; COLUMNS],
     pub count: usize,
 }
 
 impl Default for Packed {
     fn default() -> Self {
-        Self { columns: [[0.0; FULL + COPIED]; COLUMNS], count: 0 }
+        Self { columns: [[0.0; FULL + WIDEST]; COLUMNS], count: 0 }
     }
 }
 
 impl Packed {
     pub const FULL: usize = FULL;
 
-    /// Takes cells from `at` on up to `end`, and returns where it stopped: there, or as it was full.
+    /// Appends the first so many of vectors; there is room for one as long as it is not full.
     #[inline(always)]
-    pub fn take(&mut self, columns: &[&[f32]; COLUMNS], mut at: usize, end: usize) -> usize {
-        while at < end && self.count < FULL {
-            let count = COPIED.min(end - at).min(FULL - self.count);
-            for (packed, column) in self.columns.iter_mut().zip(columns) {
-                // What is copied beyond the end gives way to the next.
-                let room = packed[self.count..].first_chunk_mut::<COPIED>();
-                match (room, column[at..].first_chunk::<COPIED>()) {
-                    (Some(room), Some(whole)) => *room = *whole,
-                    _ => packed[self.count..self.count + count]
-                        .copy_from_slice(&column[at..at + count]),
-                }
-            }
-            self.count += count;
-            at += count;
+    pub fn put<S: Simd>(&mut self, _: S, vectors: [S::f32s; COLUMNS], count: usize) {
+        for (column, vector) in self.columns.iter_mut().zip(vectors) {
+            // What comes after them gives way to the next.
+            let room = &mut column[self.count..self.count + S::F32_LANES];
+            S::as_mut_simd_f32s(room).0[0] = vector;
         }
-        at
+        self.count += count;
     }
 
     /// Fills the last vector up with zeros and starts anew; returns how many readings, with these,

@@ -3,7 +3,9 @@
 use super::super::moments::Moments;
 use super::sums::{Columns, PlaneSums, Reference, place};
 use super::{GATED_VARIANCE, Model, Readings};
-use nalgebra::{Isometry3, Matrix2x3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    Isometry3, Matrix2, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
+};
 
 /// Standard deviation beyond which a rotation says nothing, in radians: what a region one line wide
 /// gets about that line.
@@ -40,10 +42,11 @@ impl PlaneFit {
 /// Centroid of all readings.
 pub(in super::super) fn centroid_of(sums: &PlaneSums) -> Vector3<f64> {
     let n = sums.readings.max(1) as f64;
-    let anchor = vector(sums.reference.anchor);
+    let Reference { sides: [first, second], foot, .. } = sums.reference;
     let t = &sums.totals;
     // A reading is its place on the plane, and beyond it by its error.
-    anchor + (three(t, place::D) + three(t, place::SD) + anchor * t[place::S]) / n
+    let (u, v) = (t[place::D] + t[place::SD], t[place::D + 1] + t[place::SD + 1]);
+    foot + (first * u + second * v + foot * t[place::S]) / n
 }
 
 /// The plane that follows from the sums of a region; `None` for readings that span no line.
@@ -56,30 +59,22 @@ pub(in super::super) fn centroid_of(sums: &PlaneSums) -> Vector3<f64> {
 pub(in super::super) fn plane_of(sums: &PlaneSums) -> Option<PlaneFit> {
     let t = &sums.totals;
     let (inliers, n) = (t[place::INLIERS], sums.readings as f64);
-    let q = vector(sums.reference.q);
-    let length = q.norm();
-    if inliers < 3.0 || length.is_nan() || length <= 0.0 {
+    let Reference { offset_m, .. } = sums.reference;
+    if inliers < 3.0 || offset_m.is_nan() {
         return None;
     }
-    let (ez, offset_m) = (-q / length, -1.0 / length);
-    let (frame, middle) = frame_of(sums, &ez, offset_m)?;
-    let rotation = frame.rotation.to_rotation_matrix().into_inner();
-    let (ex, ey) = (rotation.column(0), rotation.column(1));
+    let Frame { frame, turn, middle } = frame_of(sums)?;
     // Sums of w, w s, s, one: over the readings, their places, and pairs of these.
-    let flat = |at: usize| {
-        let sum = three(t, at);
-        (ex.dot(&sum), ey.dot(&sum))
-    };
+    let flat = |at: usize| turn * Vector2::new(t[at], t[at + 1]);
     let scale = 1.0 / (offset_m * offset_m);
     let form = |n: f64, at: usize, pairs: usize| {
-        let (x, y) = flat(at);
-        let square = symmetric(&t[pairs..pairs + 6]);
-        let (xx, xy, yy) = (ex.dot(&(square * ex)), ex.dot(&(square * ey)), ey.dot(&(square * ey)));
-        Matrix3::new(n, -x, y, -x, xx, -xy, y, -xy, yy)
+        let (d, square) = (flat(at), turn * symmetric(t, pairs) * turn.transpose());
+        let (xx, xy, yy) = (square.m11, square.m12, square.m22);
+        Matrix3::new(n, -d.x, d.y, -d.x, xx, -xy, d.y, -xy, yy)
     };
     let side = |sum: f64, at: usize| {
-        let (x, y) = flat(at);
-        Vector3::new(sum, -x, y)
+        let d = flat(at);
+        Vector3::new(sum, -d.x, d.y)
     };
     let right = side(t[place::WS], place::WSD) / offset_m;
     // What no reading fixes stays where it is: a prior of one radian.
@@ -115,39 +110,45 @@ pub(in super::super) fn plane_of(sums: &PlaneSums) -> Option<PlaneFit> {
 /// Mean square of the distances of the readings' places from the sensor.
 fn mean_square_range(sums: &PlaneSums) -> f64 {
     let (t, n) = (&sums.totals, sums.readings.max(1) as f64);
-    let anchor = vector(sums.reference.anchor);
-    let [xx, _, _, yy, _, zz] = [0, 1, 2, 3, 4, 5].map(|k| t[place::DD + k]);
-    (xx + yy + zz + 2.0 * anchor.dot(&three(t, place::D))) / n + anchor.norm_squared()
+    let Reference { sides: [first, second], foot, .. } = sums.reference;
+    let along = first.dot(&foot) * t[place::D] + second.dot(&foot) * t[place::D + 1];
+    (t[place::DD] + t[place::DD + 2] + 2.0 * along) / n + foot.norm_squared()
 }
 
-/// The frame on the reference plane under the anchor, x along the greatest extent of the points, and
-/// their variance along y.
-fn frame_of(sums: &PlaneSums, ez: &Vector3<f64>, offset_m: f64) -> Option<(Isometry3<f64>, f64)> {
+/// A frame on a reference plane.
+struct Frame {
+    frame: Isometry3<f64>,
+    /// From the reference's sides to the frame's x and y.
+    turn: Matrix2<f64>,
+    /// Variance of the points along y.
+    middle: f64,
+}
+
+/// The frame at the reference plane's foot, x along the greatest extent of the points.
+fn frame_of(sums: &PlaneSums) -> Option<Frame> {
     let (t, n) = (&sums.totals, sums.readings as f64);
-    let mean = three(t, place::D) / n;
-    let scatter = symmetric(&t[place::DD..place::DD + 6]) / n - mean * mean.transpose();
-    let mut helper = Vector3::zeros();
-    helper[ez.iamin()] = 1.0;
-    let e1 = ez.cross(&helper).normalize();
-    let e2 = ez.cross(&e1);
-    let basis = Matrix2x3::from_rows(&[e1.transpose(), e2.transpose()]);
-    let flat = basis * scatter * basis.transpose();
-    let (half, turn) = (0.5 * (flat.m11 + flat.m22), 0.5 * (flat.m11 - flat.m22));
-    let root = turn.hypot(flat.m12);
+    let Reference { normal, sides: [first, second], foot, .. } = sums.reference;
+    let mean = Vector2::new(t[place::D], t[place::D + 1]) / n;
+    let flat = symmetric(t, place::DD) / n - mean * mean.transpose();
+    let (half, half_difference) = (0.5 * (flat.m11 + flat.m22), 0.5 * (flat.m11 - flat.m22));
+    let root = half_difference.hypot(flat.m12);
     let (greatest, middle) = (half + root, (half - root).max(0.0));
-    let anchor = vector(sums.reference.anchor);
     // One centimetre in ten kilometres: points that are all the same.
-    if greatest.is_nan() || greatest <= 1e-12 * anchor.norm_squared() {
+    if greatest.is_nan() || greatest <= 1e-12 * foot.norm_squared() {
         return None;
     }
     // Of the two forms of the eigenvector, the one that does not cancel.
-    let (a, b) = if turn > 0.0 { (root + turn, flat.m12) } else { (flat.m12, root - turn) };
-    let ex = largest_positive((e1 * a + e2 * b).try_normalize(0.0).unwrap_or(e1));
-    let rotation =
-        Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[ex, ez.cross(&ex), *ez]));
-    let foot = anchor - ez * (ez.dot(&anchor) - offset_m);
+    let (a, b) = if half_difference > 0.0 {
+        (root + half_difference, flat.m12)
+    } else {
+        (flat.m12, root - half_difference)
+    };
+    let ex = largest_positive((first * a + second * b).try_normalize(0.0).unwrap_or(first));
+    let ey = normal.cross(&ex);
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[ex, ey, normal]));
     let frame = Isometry3::from_parts(foot.into(), UnitQuaternion::from_rotation_matrix(&rotation));
-    Some((frame, middle))
+    let turn = Matrix2::new(ex.dot(&first), ex.dot(&second), ey.dot(&first), ey.dot(&second));
+    Some(Frame { frame, turn, middle })
 }
 
 /// Fits a plane; `None` for readings that span no line.
@@ -157,8 +158,7 @@ pub(in super::super) fn fit_plane(readings: &mut Readings) -> Option<(PlaneFit, 
     for (point, gain) in readings.points.iter().zip(readings.gains()) {
         moments.add_point((*point).into(), gain * gain);
     }
-    let narrow = |v: [f64; 3]| v.map(|v| v as f32);
-    let reference = Reference { q: narrow(moments.solve()), anchor: narrow((*first).into()) };
+    let reference = Reference::new(moments.solve(), (*first).into());
     let [x, y, z, inverse, gain, fit_gain] = &mut readings.columns;
     for column in [&mut *x, &mut *y, &mut *z, &mut *inverse, &mut *gain, &mut *fit_gain] {
         column.clear();
@@ -177,17 +177,8 @@ pub(in super::super) fn fit_plane(readings: &mut Readings) -> Option<(PlaneFit, 
     Some((plane_of(&sums)?, sums.totals[place::ERROR]))
 }
 
-fn vector(v: [f32; 3]) -> Vector3<f64> {
-    Vector3::from(v.map(f64::from))
-}
-
-fn three(totals: &[f64], at: usize) -> Vector3<f64> {
-    Vector3::new(totals[at], totals[at + 1], totals[at + 2])
-}
-
-fn symmetric(sums: &[f64]) -> Matrix3<f64> {
-    let [xx, xy, xz, yy, yz, zz] = [0, 1, 2, 3, 4, 5].map(|k| sums[k]);
-    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+fn symmetric(totals: &[f64], at: usize) -> Matrix2<f64> {
+    Matrix2::new(totals[at], totals[at + 1], totals[at + 1], totals[at + 2])
 }
 
 /// The frame after a perturbation (offset along z, rotation about y, rotation about x).

@@ -45,7 +45,7 @@ fn refine(
     mut phase: Phase,
     rounds: usize,
 ) -> Option<SphereFit> {
-    let mut fit = None;
+    let mut last = None;
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
@@ -54,8 +54,7 @@ fn refine(
         let RoundSums { normal, square, count } = sums;
         let (normal, right) = (normal.normal(), normal.right());
         let Some(decomposed) = normal.cholesky() else { break };
-        let inverse = decomposed.inverse();
-        let correction = inverse * right;
+        let correction = decomposed.solve(&right);
         centre += correction.xyz();
         radius_m += correction.w;
         if !(radius_m > 0.0 && radius_m < 1e3) {
@@ -63,7 +62,7 @@ fn refine(
         }
         let left = (square - right.dot(&correction)).max(0.0);
         let mean_square = left / ((count - 4.0_f64).max(1.0) * phase.variance());
-        fit = Some(inverse * mean_square.max(1.0));
+        last = Some((decomposed, mean_square.max(1.0)));
         let step = right.dot(&correction) / mean_square.max(1.0);
         if phase == Phase::Rays {
             // All readings had a say, and from within a deviation of the end one round leads to it.
@@ -75,7 +74,10 @@ fn refine(
             phase = next;
         }
     }
-    Some(SphereFit { centre, radius_m, covariance: fit? })
+    // Only that of the last round is asked for.
+    let (decomposed, scale) = last?;
+    let covariance = decomposed.inverse() * scale;
+    Some(SphereFit { centre, radius_m, covariance })
 }
 
 /// A sphere as the rounds take it.

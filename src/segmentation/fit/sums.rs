@@ -6,8 +6,21 @@
 
 use super::packed::Packed;
 use super::{CAP, GATE, LEAST_COSINE};
+use nalgebra::Vector3;
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 use std::ops::Range;
+
+/// Most readings of a vector, and ones for those that are there, zeros for those that are not.
+const WIDEST: usize = 16;
+const PRESENT: [f32; 2 * WIDEST] = {
+    let mut present = [0.0; 2 * WIDEST];
+    let mut place = 0;
+    while place < WIDEST {
+        present[place] = 1.0;
+        place += 1;
+    }
+    present
+};
 
 /// Relative error beyond which a reading's place on the plane is not followed.
 const FARTHEST: f32 = 0.5;
@@ -26,44 +39,68 @@ pub(in super::super) struct Columns<'a> {
     pub fit_gain: &'a [f32],
 }
 
-/// A plane `q · p = 1` that errors are measured by, and a point that sums are taken about.
+/// A plane `q · p = 1` that errors are measured by, with a frame on it.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Reference {
-    pub q: [f32; 3],
-    pub anchor: [f32; 3],
+    /// The normal towards the sensor, and two more directions that complete it to a frame.
+    pub normal: Vector3<f64>,
+    pub sides: [Vector3<f64>; 2],
+    /// The normal's coordinate of the plane: not a number where there is no plane.
+    pub offset_m: f64,
+    /// The point of the plane that places on it are told from.
+    pub foot: Vector3<f64>,
+    q: [f32; 3],
+}
+
+impl Reference {
+    /// The plane with the point on it that is next to one of the region's.
+    pub fn new(q: [f64; 3], near: [f64; 3]) -> Self {
+        let (near, q) = (Vector3::from(near), Vector3::from(q));
+        let length = q.norm();
+        let is_plane = length > 0.0 && length.is_finite();
+        let normal = if is_plane { -q / length } else { Vector3::x() };
+        let offset_m = if is_plane { -1.0 / length } else { f64::NAN };
+        let gap = if is_plane { normal.dot(&near) - offset_m } else { 0.0 };
+        let mut helper = Vector3::zeros();
+        helper[normal.iamin()] = 1.0;
+        let first = normal.cross(&helper).normalize();
+        let sides = [first, normal.cross(&first)];
+        let q = [q.x, q.y, q.z].map(|v| v as f32);
+        Self { normal, sides, offset_m, foot: near - normal * gap, q }
+    }
 }
 
 /// Each place in [`PlaneSums::totals`] that a sum over readings has. `s` is the error relative to the
-/// range, `d` the place on the plane that the reading's ray meets, from the anchor, `w` its weight.
+/// range, `u` and `v` the place on the plane that the reading's ray meets, `w` its weight.
 pub(in super::super) mod place {
     pub const W: usize = 0;
     pub const WS: usize = 1;
     pub const WSS: usize = 2;
-    /// Three each.
+    /// Two each: u, v.
     pub const WD: usize = 3;
-    pub const WSD: usize = 6;
-    /// Six: xx, xy, xz, yy, yz, zz.
-    pub const WDD: usize = 9;
-    pub const S: usize = 15;
-    pub const SS: usize = 16;
-    pub const D: usize = 17;
-    pub const SD: usize = 20;
-    pub const DD: usize = 23;
+    pub const WSD: usize = 5;
+    /// Three: uu, uv, vv.
+    pub const WDD: usize = 7;
+    pub const S: usize = 10;
+    pub const SS: usize = 11;
+    pub const D: usize = 12;
+    pub const SD: usize = 14;
+    pub const DD: usize = 16;
     /// Squared errors in units of the noise, each cut.
-    pub const ERROR: usize = 29;
+    pub const ERROR: usize = 19;
     /// Readings that have a weight.
-    pub const INLIERS: usize = 30;
+    pub const INLIERS: usize = 20;
     /// Squared gains.
-    pub const GAIN: usize = 31;
+    pub const GAIN: usize = 21;
     /// Squared errors in units of the noise, as they are.
-    pub const SQUARE: usize = 32;
-    pub const COUNT: usize = 33;
+    pub const SQUARE: usize = 22;
+    pub const COUNT: usize = 23;
 
     /// The places of the sums in the order in which they are taken: of the readings' own, of products
     /// with weights, and of those without.
     pub const OWN: [usize; 6] = [WS, WSS, ERROR, INLIERS, GAIN, SQUARE];
-    pub const WEIGHTED: [usize; 13] = [0, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14];
-    pub const PLAIN: [usize; 14] = [15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28];
+    pub const WEIGHTED: [usize; 8] = [0, 3, 4, 5, 6, 7, 8, 9];
+    pub const PLAIN: [usize; 9] = [10, 11, 12, 13, 14, 15, 16, 17, 18];
 }
 
 /// The sums.
@@ -114,20 +151,45 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
         let Self { reference, columns, runs, packed } = self;
         let about = About::of(simd, &reference);
         let Columns { x, y, z, inverse, gain, fit_gain } = columns;
-        let columns = [x, y, z, inverse, gain, fit_gain];
+        let (columns, x_column) = ([x, y, z, inverse, gain, fit_gain], x);
         let mut sums = PlaneSums { reference, totals: [0.0; place::COUNT], readings: 0 };
+        let mut own = [simd.splat_f32s(0.0); 6];
         packed.count = 0;
         for run in runs {
             sums.readings += run.len();
-            let mut at = run.start;
-            while at < run.end {
-                at = packed.take(&columns, at, run.end);
-                if packed.count == Packed::FULL {
-                    add_up(simd, &about, packed, &mut sums.totals);
+            let parts = columns.map(|column| S::as_simd_f32s(&column[run.clone()]));
+            let [x, y, z, inverse, gain, fit_gain] = parts.map(|(whole, _)| whole);
+            let whole = x.iter().zip(y).zip(z).zip(inverse).zip(gain).zip(fit_gain);
+            for (((((&x, &y), &z), &inverse), &gain), &fit_gain) in whole {
+                let readings = [x, y, z, inverse, gain, fit_gain];
+                let seen = look(simd, &about, readings, &mut own);
+                packed.put(simd, seen, S::F32_LANES);
+                if packed.count >= Packed::FULL {
+                    add_up(simd, packed, &mut own, &mut sums.totals);
+                }
+            }
+            let rest = run.len() % S::F32_LANES;
+            if rest > 0 {
+                // What is not of the run is no return.
+                let end = run.end - rest + S::F32_LANES;
+                let readings = if end <= x_column.len() {
+                    let present = &PRESENT[WIDEST - rest..][..S::F32_LANES];
+                    let present = S::as_simd_f32s(present).0[0];
+                    let [x, y, z, inverse, gain, fit_gain] = columns
+                        .map(|column| S::as_simd_f32s(&column[end - S::F32_LANES..end]).0[0]);
+                    let [inverse, gain, fit_gain] =
+                        [inverse, gain, fit_gain].map(|column| mul(simd, column, present));
+                    [x, y, z, inverse, gain, fit_gain]
+                } else {
+                    parts.map(|(_, rest)| simd.partial_load_f32s(rest))
+                };
+                packed.put(simd, look(simd, &about, readings, &mut own), rest);
+                if packed.count >= Packed::FULL {
+                    add_up(simd, packed, &mut own, &mut sums.totals);
                 }
             }
         }
-        add_up(simd, &about, packed, &mut sums.totals);
+        add_up(simd, packed, &mut own, &mut sums.totals);
         sums
     }
 }
@@ -135,7 +197,9 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
 /// What sums are taken about, in every place of a vector.
 struct About<V> {
     q: [V; 3],
-    anchor: [V; 3],
+    /// Two directions, and the coordinates of the foot along them.
+    sides: [[V; 3]; 2],
+    foot: [V; 2],
     /// Distance of the plane over the least cosine of incidence.
     least: V,
 }
@@ -143,105 +207,88 @@ struct About<V> {
 impl<V> About<V> {
     #[inline(always)]
     fn of<S: Simd<f32s = V>>(simd: S, reference: &Reference) -> Self {
+        let splat = |value: f64| simd.splat_f32s(value as f32);
         let [x, y, z] = reference.q;
-        let offset_m = 1.0 / (x * x + y * y + z * z).sqrt();
-        let [ax, ay, az] = reference.anchor;
+        let [first, second] = reference.sides;
         Self {
             q: [simd.splat_f32s(x), simd.splat_f32s(y), simd.splat_f32s(z)],
-            anchor: [simd.splat_f32s(ax), simd.splat_f32s(ay), simd.splat_f32s(az)],
-            least: simd.splat_f32s(offset_m / LEAST_COSINE as f32),
+            sides: [
+                [splat(first.x), splat(first.y), splat(first.z)],
+                [splat(second.x), splat(second.y), splat(second.z)],
+            ],
+            foot: [splat(first.dot(&reference.foot)), splat(second.dot(&reference.foot))],
+            least: splat(-reference.offset_m / LEAST_COSINE),
         }
     }
 }
 
-/// Adds what is packed to the totals.
+/// Adds what is packed to the totals, and what has no product with a place.
 ///
-/// There are more sums than a processor has vectors at hand, so the readings are gone through three
-/// times: once for what follows from each alone, which takes the place of what it follows from, and once
-/// each for the products with and without weights.
+/// There are more sums than a processor has vectors at hand, so the readings are gone through twice: for
+/// the products with weights, and for those without.
 #[inline(always)]
 fn add_up<S: Simd>(
     simd: S,
-    about: &About<S::f32s>,
     packed: &mut Packed,
+    own: &mut [S::f32s; 6],
     totals: &mut [f64; place::COUNT],
 ) {
     let count = packed.fill_up(S::F32_LANES);
-    let [x, y, z, inverse, gain, fit_gain] = packed.columns.each_mut();
-    let (x, y) = (S::as_mut_simd_f32s(&mut x[..count]).0, S::as_mut_simd_f32s(&mut y[..count]).0);
-    let z = S::as_mut_simd_f32s(&mut z[..count]).0;
-    let inverse = S::as_simd_f32s(&inverse[..count]).0;
-    let gain = S::as_mut_simd_f32s(&mut gain[..count]).0;
-    let fit_gain = S::as_mut_simd_f32s(&mut fit_gain[..count]).0;
-    let mut own = [simd.splat_f32s(0.0); 6];
-    let columns = x.iter_mut().zip(&mut *y).zip(&mut *z).zip(inverse).zip(&mut *gain);
-    for (((((x, y), z), inverse), gain), fit_gain) in columns.zip(&mut *fit_gain) {
-        let seen = look(simd, about, [*x, *y, *z, *inverse, *gain, *fit_gain], &mut own);
-        ([*x, *y, *z], *gain, *fit_gain) = (seen.d, seen.s, seen.w);
-    }
-    let mut weighted = [simd.splat_f32s(0.0); 13];
-    for ((((&x, &y), &z), &s), &w) in x.iter().zip(&*y).zip(&*z).zip(&*gain).zip(&*fit_gain) {
+    let [u, v, s, w] = &packed.columns;
+    let (u, v) = (S::as_simd_f32s(&u[..count]).0, S::as_simd_f32s(&v[..count]).0);
+    let (s, w) = (S::as_simd_f32s(&s[..count]).0, S::as_simd_f32s(&w[..count]).0);
+    let zero = simd.splat_f32s(0.0);
+    let mut weighted = [zero; 8];
+    for (((&u, &v), &s), &w) in u.iter().zip(v).zip(s).zip(w) {
         plus(simd, &mut weighted[0], w);
-        with_places(
-            simd,
-            &mut weighted[1..],
-            [x, y, z],
-            [mul(simd, w, x), mul(simd, w, y), mul(simd, w, z)],
-            s,
-        );
+        let moved = [mul(simd, w, u), mul(simd, w, v)];
+        with_places(simd, &mut weighted[1..], [u, v], moved, s);
     }
-    let mut plain = [simd.splat_f32s(0.0); 14];
-    for (((&x, &y), &z), &s) in x.iter().zip(&*y).zip(&*z).zip(&*gain) {
+    let mut plain = [zero; 9];
+    for ((&u, &v), &s) in u.iter().zip(v).zip(s) {
         plus(simd, &mut plain[0], s);
         plus_product(simd, &mut plain[1], s, s);
-        with_places(simd, &mut plain[2..], [x, y, z], [x, y, z], s);
+        with_places(simd, &mut plain[2..], [u, v], [u, v], s);
     }
     let mut put = |places: &[usize], sums: &[S::f32s]| {
         for (&place, &sum) in places.iter().zip(sums) {
             totals[place] += f64::from(simd.reduce_sum_f32s(sum));
         }
     };
-    put(&place::OWN, &own);
+    put(&place::OWN, own);
     put(&place::WEIGHTED, &weighted);
     put(&place::PLAIN, &plain);
+    *own = [zero; 6];
 }
 
-/// Adds up weighted places on the plane, their products with the places, and with the errors.
+/// Adds up weighted places on the plane, their products with the errors, and with the places.
 #[inline(always)]
 fn with_places<S: Simd>(
     simd: S,
     sums: &mut [S::f32s],
-    d: [S::f32s; 3],
-    weighted: [S::f32s; 3],
+    [u, v]: [S::f32s; 2],
+    [wu, wv]: [S::f32s; 2],
     s: S::f32s,
 ) {
-    let mut pair = 6;
-    for i in 0..3 {
-        plus(simd, &mut sums[i], weighted[i]);
-        plus_product(simd, &mut sums[3 + i], weighted[i], s);
-        for &other in &d[i..] {
-            plus_product(simd, &mut sums[pair], weighted[i], other);
-            pair += 1;
-        }
-    }
+    plus(simd, &mut sums[0], wu);
+    plus(simd, &mut sums[1], wv);
+    plus_product(simd, &mut sums[2], wu, s);
+    plus_product(simd, &mut sums[3], wv, s);
+    plus_product(simd, &mut sums[4], wu, u);
+    plus_product(simd, &mut sums[5], wu, v);
+    plus_product(simd, &mut sums[6], wv, v);
 }
 
-/// What follows from readings: their errors relative to the range, the places on the plane that their
-/// rays meet, from the anchor, and their weights.
-struct Seen<V> {
-    s: V,
-    d: [V; 3],
-    w: V,
-}
-
-/// Looks at readings, and adds up what is no product with a place; where there is none are zeros.
+/// Looks at readings, and adds up what is no product with a place. Returns the places on the plane that
+/// their rays meet, from the foot, their errors relative to the range, and their weights; where there is
+/// none are zeros.
 #[inline(always)]
 fn look<S: Simd>(
     simd: S,
     about: &About<S::f32s>,
     [x, y, z, inverse, gain, fit_gain]: [S::f32s; 6],
     sums: &mut [S::f32s; 6],
-) -> Seen<S::f32s> {
+) -> [S::f32s; 4] {
     let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
     let present = simd.greater_than_f32s(inverse, zero);
     let [qx, qy, qz] = about.q;
@@ -251,12 +298,12 @@ fn look<S: Simd>(
     let near = simd.max_f32s(s, simd.splat_f32s(-FARTHEST));
     let near = simd.min_f32s(near, simd.splat_f32s(FARTHEST));
     let shrink = simd.sub_f32s(one, mul(simd, near, simd.sub_f32s(one, near)));
-    let [ax, ay, az] = about.anchor;
-    let d = [
-        simd.select_f32s(present, simd.sub_f32s(mul(simd, x, shrink), ax), zero),
-        simd.select_f32s(present, simd.sub_f32s(mul(simd, y, shrink), ay), zero),
-        simd.select_f32s(present, simd.sub_f32s(mul(simd, z, shrink), az), zero),
-    ];
+    let place = |[ex, ey, ez]: [S::f32s; 3], foot: S::f32s| {
+        let along = simd.mul_add_e_f32s(ex, x, simd.mul_add_e_f32s(ey, y, mul(simd, ez, z)));
+        simd.select_f32s(present, simd.sub_f32s(mul(simd, along, shrink), foot), zero)
+    };
+    let u = place(about.sides[0], about.foot[0]);
+    let v = place(about.sides[1], about.foot[1]);
     let grazing = simd.min_f32s(mul(simd, about.least, inverse), one);
     let error = mul(simd, mul(simd, s, gain), grazing);
     let square = mul(simd, error, error);
@@ -272,7 +319,7 @@ fn look<S: Simd>(
     plus(simd, sum_inliers, counted);
     plus_product(simd, sum_gain, gain, gain);
     plus(simd, sum_square, square);
-    Seen { s, d, w }
+    [u, v, s, w]
 }
 
 #[inline(always)]
