@@ -82,7 +82,17 @@ impl PlaneSums {
         runs: impl Iterator<Item = Range<usize>>,
         packed: &mut Packed,
     ) -> Self {
-        run(Summation { reference, columns, runs, packed })
+        run(Summation::<_, true> { reference, columns, runs, packed })
+    }
+
+    /// The same without the sums that have no weights, which only a frame is told from.
+    pub fn weighted_over(
+        reference: Reference,
+        columns: Columns,
+        runs: impl Iterator<Item = Range<usize>>,
+        packed: &mut Packed,
+    ) -> Self {
+        run(Summation::<_, false> { reference, columns, runs, packed })
     }
 
     /// The sums over few readings, in arrays of their own.
@@ -98,15 +108,15 @@ fn run<W: WithSimd>(work: W) -> W::Output {
     }
 }
 
-/// Summing over runs, for vectors of some width.
-struct Summation<'a, I> {
+/// Summing over runs, for vectors of some width; `PLAIN` sums have no weights.
+struct Summation<'a, I, const PLAIN: bool> {
     reference: Reference,
     columns: Columns<'a>,
     runs: I,
     packed: &'a mut Packed,
 }
 
-impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
+impl<I: Iterator<Item = Range<usize>>, const PLAIN: bool> WithSimd for Summation<'_, I, PLAIN> {
     type Output = PlaneSums;
 
     #[inline(always)]
@@ -123,11 +133,11 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
             while at < run.end {
                 at = packed.take(&columns, at, run.end);
                 if packed.count == Packed::FULL {
-                    add_up(simd, &about, packed, &mut sums.totals);
+                    add_up::<_, PLAIN>(simd, &about, packed, &mut sums.totals);
                 }
             }
         }
-        add_up(simd, &about, packed, &mut sums.totals);
+        add_up::<_, PLAIN>(simd, &about, packed, &mut sums.totals);
         sums
     }
 }
@@ -160,7 +170,7 @@ impl<V> About<V> {
 /// times: once for what follows from each alone, which takes the place of what it follows from, and once
 /// each for the products with and without weights.
 #[inline(always)]
-fn add_up<S: Simd>(
+fn add_up<S: Simd, const PLAIN: bool>(
     simd: S,
     about: &About<S::f32s>,
     packed: &mut Packed,
@@ -190,12 +200,6 @@ fn add_up<S: Simd>(
             s,
         );
     }
-    let mut plain = [simd.splat_f32s(0.0); 14];
-    for (((&x, &y), &z), &s) in x.iter().zip(&*y).zip(&*z).zip(&*gain) {
-        plus(simd, &mut plain[0], s);
-        plus_product(simd, &mut plain[1], s, s);
-        with_places(simd, &mut plain[2..], [x, y, z], [x, y, z], s);
-    }
     let mut put = |places: &[usize], sums: &[S::f32s]| {
         for (&place, &sum) in places.iter().zip(sums) {
             totals[place] += f64::from(simd.reduce_sum_f32s(sum));
@@ -203,6 +207,15 @@ fn add_up<S: Simd>(
     };
     put(&place::OWN, &own);
     put(&place::WEIGHTED, &weighted);
+    if !PLAIN {
+        return;
+    }
+    let mut plain = [simd.splat_f32s(0.0); 14];
+    for (((&x, &y), &z), &s) in x.iter().zip(&*y).zip(&*z).zip(&*gain) {
+        plus(simd, &mut plain[0], s);
+        plus_product(simd, &mut plain[1], s, s);
+        with_places(simd, &mut plain[2..], [x, y, z], [x, y, z], s);
+    }
     put(&place::PLAIN, &plain);
 }
 
