@@ -1,8 +1,11 @@
 //! Localisation and mapping, from the outside.
 
+mod closures;
 mod consistency;
 mod curves;
 mod drive;
 mod long_loop;
+mod long_run;
+mod real_scan;
 mod situations;
 mod world;
