@@ -4,11 +4,13 @@
 //! the pose so corrected the rest is decided one by one.
 
 use super::belief::{Belief, PairRows};
+use super::innovation::Innovation;
 use super::landmark::{Landmark, carried_hull, hulls_meet};
 use super::observation::Observation;
 use super::shift::Shift;
-use nalgebra::{Matrix3x4, Point2, Vector3};
+use nalgebra::{Isometry3, Matrix3x4, Point2, Vector3};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Settings of data association.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -176,48 +178,92 @@ impl Question<'_> {
     }
 
     /// Decides every observation, given the belief after the joint search. Several observations may
-    /// be pieces of one landmark: with the pose settled, a piece that fits is a piece.
+    /// be pieces of one landmark: with the pose settled, a piece that fits is a piece, if it lies in one
+    /// plane with those before it. A landmark that was hardly seen is open enough for pieces of several
+    /// surfaces, each by itself; the scan that shows them side by side knows better. The joint search's
+    /// own pairs come first, then what has most points.
     pub(super) fn decide(
         &self,
         assignment: &Assignment,
         config: &AssociationConfig,
     ) -> Vec<Verdict> {
+        let mut order: Vec<usize> = (0..self.observations.len()).collect();
+        let is_paired =
+            |&observation: &usize| assignment.pairs.iter().any(|pair| pair.0 == observation);
+        order.sort_by_key(|observation| {
+            let points = self.observations[*observation].points;
+            (!is_paired(observation), std::cmp::Reverse(points), *observation)
+        });
+        let mut verdicts = vec![Verdict::New; self.observations.len()];
+        let mut pieces: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        for observation in order {
+            let verdict = self.verdict(observation, assignment, &pieces, config);
+            if let Verdict::Seen(plane, _) = verdict {
+                pieces.entry(plane).or_default().push(observation);
+            }
+            verdicts[observation] = verdict;
+        }
+        verdicts
+    }
+
+    /// What one observation is; `pieces` are the observations of each plane so far.
+    fn verdict(
+        &self,
+        observation: usize,
+        assignment: &Assignment,
+        pieces: &BTreeMap<usize, Vec<usize>>,
+        config: &AssociationConfig,
+    ) -> Verdict {
         let belief = &assignment.belief;
-        (0..self.observations.len())
-            .map(|observation| {
-                let mut fitting: Vec<(f64, f64, usize)> = Vec::new();
-                let mut nearest_miss = f64::INFINITY;
-                let mut pulls = false;
-                for &plane in &self.candidates[observation] {
-                    let rows = self.rows(belief, observation, plane);
-                    if !self.comparable(belief, &rows, observation, plane, config) {
-                        continue;
-                    }
-                    let distance = rows.distance_squared();
-                    if distance < config.gate {
-                        fitting.push((distance + rows.log_determinant(), distance, plane));
-                        pulls |= rows.h.x.abs() > APART_M;
-                    } else {
-                        nearest_miss = nearest_miss.min(distance);
-                    }
-                }
-                fitting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
-                match fitting.as_slice() {
-                    // A pair that would take the robot elsewhere was not part of the joint search's
-                    // answer: alone it says nothing.
-                    [_, ..] if pulls || !assignment.pairing => Verdict::Ambiguous,
-                    [] if nearest_miss < config.doubt_gate => Verdict::Doubtful(nearest_miss),
-                    [] => Verdict::New,
-                    [first, second, ..]
-                        if second.0 - first.0 < CLOSE_CALL
-                            && !self.same_surface(belief, first.2, second.2) =>
-                    {
-                        Verdict::Ambiguous
-                    }
-                    [first, ..] => Verdict::Seen(first.2, first.1),
-                }
-            })
-            .collect()
+        let mut fitting: Vec<(f64, f64, usize)> = Vec::new();
+        let mut nearest_miss = f64::INFINITY;
+        let mut pulls = false;
+        for &plane in &self.candidates[observation] {
+            let rows = self.rows(belief, observation, plane);
+            if !self.comparable(belief, &rows, observation, plane, config) {
+                continue;
+            }
+            let distance = rows.distance_squared();
+            let beside = pieces.get(&plane).into_iter().flatten();
+            let apart = beside.map(|&other| self.apart(observation, other)).fold(0.0, f64::max);
+            if distance.max(apart) < config.gate {
+                fitting.push((distance + rows.log_determinant(), distance, plane));
+                pulls |= rows.h.x.abs() > APART_M;
+            } else {
+                nearest_miss = nearest_miss.min(distance.max(apart));
+            }
+        }
+        fitting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
+        match fitting.as_slice() {
+            // A pair that would take the robot elsewhere was not part of the joint search's answer:
+            // alone it says nothing.
+            [_, ..] if pulls || !assignment.pairing => Verdict::Ambiguous,
+            [] if nearest_miss < config.doubt_gate => Verdict::Doubtful(nearest_miss),
+            [] => Verdict::New,
+            [first, second, ..]
+                if second.0 - first.0 < CLOSE_CALL
+                    && !self.same_surface(belief, first.2, second.2) =>
+            {
+                Verdict::Ambiguous
+            }
+            [first, ..] => Verdict::Seen(first.2, first.1),
+        }
+    }
+
+    /// Squared Mahalanobis distance of two observations of one scan, if they were of one plane: it does not
+    /// depend on where the robot is.
+    fn apart(&self, observation: usize, other: usize) -> f64 {
+        let (seen, beside) = (&self.observations[observation], &self.observations[other]);
+        let frames = (&beside.robot_from_plane, &seen.robot_from_plane);
+        let Innovation { h, h_z, h_f, .. } =
+            Innovation::new(frames.0, &Isometry3::identity(), frames.1);
+        let mut s =
+            h_z * seen.covariance * h_z.transpose() + h_f * beside.covariance * h_f.transpose();
+        if let (Some(own), Some(others)) = (self.common[observation], self.common[other]) {
+            let common = h_z * own + h_f * others;
+            s += common * common.transpose();
+        }
+        s.cholesky().map_or(f64::INFINITY, |root| h.dot(&root.solve(&h)))
     }
 
     /// Observations that an assignment does not take for a plane which they fit, with those planes. To

@@ -14,6 +14,7 @@ use super::fit::{
 use super::hull::HullFinder;
 use super::stick_chain::Found;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
+use super::unevenness::UnevenPlanes;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use std::fmt::Write as _;
 
@@ -67,6 +68,7 @@ pub(super) struct Assembler {
     fit_gain: Vec<f32>,
     readings: Readings,
     packed: Packed,
+    uneven: UnevenPlanes,
     fitted: Vec<FittedRegion>,
     /// Planes that were seen on more than two beams, and the fitted regions that were not.
     planes: Vec<[f64; 3]>,
@@ -429,6 +431,7 @@ impl Assembler {
     fn write_surfaces(&mut self, field: &Field, result: &mut Segmentation) {
         // Readings that err alike tell less than their number says.
         let inflation = field.errors.inflation;
+        self.uneven.start();
         for (index, region) in self.fitted.drain(..).enumerate() {
             let FittedRegion { component, shape, centroid, square_m2, .. } = region;
             let cells = self.components.cells(component);
@@ -448,6 +451,13 @@ impl Assembler {
                     } else {
                         let covariance = covariance * inflation;
                         let noise_m = noise_across(field, &grid_from_plane);
+                        self.uneven.look(
+                            index,
+                            (field, &self.fit_gain),
+                            (&self.components, component),
+                            (&grid_from_plane, noise_m),
+                            &mut self.packed,
+                        );
                         let plane = PlanePatch { grid_from_plane, covariance, hull, noise_m };
                         (Shape::Plane(plane), Some(square_m2))
                     }
@@ -477,6 +487,7 @@ impl Assembler {
                 shape,
             });
         }
+        self.uneven.tell(&mut result.surfaces);
     }
 
     fn write_labels(&mut self, field: &Field, result: &mut Segmentation) {

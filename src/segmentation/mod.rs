@@ -39,6 +39,7 @@ mod stick_chain;
 mod sticks;
 mod surface;
 mod turns;
+mod unevenness;
 
 pub use config::{Method, PaperConfig, SegmentationConfig, ShapeLimits};
 pub use noise::{RangeNoise, ReadingErrors};

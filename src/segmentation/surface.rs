@@ -58,7 +58,8 @@ pub struct PlanePatch {
     /// Pose of the local frame in the frame of the grid.
     pub grid_from_plane: Isometry3<f64>,
     /// Covariance of a perturbation of the local frame: offset along z in m², rotation about y
-    /// (the paper's θ) and rotation about x (its ψ) in rad².
+    /// (the paper's θ) and rotation about x (its ψ) in rad². It holds what noise leaves open, and, where
+    /// blocks of readings show that surfaces are uneven, what a look at another part may differ by.
     pub covariance: Matrix3<f64>,
     /// Convex hull of the points in the local x-y plane, counter-clockwise, in metres.
     pub hull: Vec<Point2<f64>>,

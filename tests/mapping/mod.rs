@@ -1,9 +1,12 @@
 //! Localisation and mapping, from the outside.
 
+mod closures;
 mod consistency;
 mod curves;
 mod drive;
 mod long_loop;
+mod long_run;
+mod real_scan;
 mod recognition;
 mod situations;
 mod world;

@@ -2,8 +2,8 @@
 
 use super::drive::{Drive, step};
 use super::world::{World, furnished_room};
-use nalgebra::{Isometry3, Vector3, Vector6};
-use usar_agent::mapping::{MapperConfig, Mode, MotionSource, OdometryNoise};
+use nalgebra::{Isometry3, Matrix3, Point2, Rotation3, UnitQuaternion, Vector3, Vector6};
+use usar_agent::mapping::{Mapper, MapperConfig, Mode, MotionSource, OdometryNoise, PlaneMask};
 
 const NO_ERROR: Vector6<f64> = Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
 
@@ -127,6 +127,120 @@ fn two_faces_of_a_thin_wall_stay_two_landmarks() {
     assert!(seen(0) && seen(1), "{:?}", drive.behind);
     // 99.9 % of χ² with six degrees of freedom.
     assert!(drive.nees() < 22.46, "{} at an error of {:?}", drive.nees(), drive.error());
+}
+
+/// A leaf 4 cm thick, ajar in a room: both of its faces are within the greatest offset of a comparison, and
+/// nearer to each other than odometry knows where the robot is.
+#[test]
+fn both_sides_of_a_door_leaf_stay_two_landmarks() {
+    for seed in 0..5 {
+        let mut world = World::default();
+        world.room((-4.0, 8.0), (-4.0, 4.0), 2.6);
+        let faces = world.rectangles.len();
+        let (sin, cos) = 0.15_f64.sin_cos();
+        let at = |along: f64, across: f64| {
+            (2.5 - sin * along - cos * across, cos * along - sin * across)
+        };
+        world.wall(at(-0.5, 0.02), at(0.5, 0.02), 0.0, 2.05);
+        world.wall(at(0.5, -0.02), at(-0.5, -0.02), 0.0, 2.05);
+        let mut drive = Drive::begin(&world, config(), Isometry3::identity(), 500 + seed);
+        // Past the leaf on its left, and about.
+        let way = [(1.0, 0.0, 40.0), (2.2, 0.0, -40.0), (1.5, 0.0, -80.0), (1.2, 0.0, -80.0)];
+        for (ahead, left, turn) in way {
+            drive.slide(&step(ahead, left, turn), &shift(0.03, -0.02, 0.5));
+            drive.look();
+        }
+        drive.slide(&step(0.3, 0.0, 0.0), &shift(0.01, -0.02, 0.2));
+        drive.look();
+        assert_eq!(drive.wrong, 0, "seed {seed}");
+        let of_face = |face: usize| -> Vec<_> {
+            drive
+                .behind
+                .iter()
+                .filter(|(_, plane)| **plane == faces + face)
+                .map(|(id, _)| *id)
+                .collect()
+        };
+        let [front, back] = [of_face(0), of_face(1)];
+        assert_eq!((front.len(), back.len()), (1, 1), "seed {seed}: {:?}", drive.behind);
+        let plane = |id| {
+            let landmark = drive.mapper.landmarks().iter().find(|landmark| landmark.id == id);
+            landmark.unwrap().world_from_plane
+        };
+        let gap = plane(front[0]).inverse() * plane(back[0]);
+        assert!((gap.translation.vector.z + 0.04).abs() < 0.01, "seed {seed}: {gap}");
+    }
+}
+
+/// Two walls, a floor and a ceiling without an end in sight: nothing says how far along it is.
+#[test]
+fn a_corridor_alone_leaves_its_length_open_and_says_so() {
+    let mut world = World::default();
+    world.level((-45.0, 45.0), (-1.2, 1.2), 0.0, true);
+    world.level((-45.0, 45.0), (-1.2, 1.2), 2.5, false);
+    world.wall((-45.0, -1.2), (45.0, -1.2), 0.0, 2.5);
+    world.wall((45.0, 1.2), (-45.0, 1.2), 0.0, 2.5);
+    let mut drive = Drive::begin(&world, config(), Isometry3::identity(), 12);
+    let mut told_m = 0.0;
+    for k in 0..10 {
+        let before = drive.mapper.covariance()[(0, 0)];
+        let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
+        drive.slide(&step(0.8, 0.0, 0.0), &shift(0.05, 0.03 * sign, 0.6 * sign));
+        let predicted = drive.mapper.covariance()[(0, 0)];
+        told_m += 0.8;
+        let report = drive.look();
+        let [weak] = &report.weak_directions[..] else {
+            panic!("one direction is open: {:?}", report.weak_directions)
+        };
+        assert!(weak.direction[0].abs() > 0.99, "{:?}", weak.direction);
+        // It grows by what the wheels leave open, and no look takes any of it away.
+        let after = report.covariance[(0, 0)];
+        assert!(after > before && after > 0.95 * predicted, "{before} {predicted} {after}");
+    }
+    let error = drive.mapper.world_from_robot().translation.vector - drive.truth.translation.vector;
+    // The walls hold the rest; the way along is what the wheels told, and half a metre off.
+    assert!(error.y.abs() < 0.005 && error.z.abs() < 0.005, "{error}");
+    let along = drive.mapper.world_from_robot().translation.x;
+    assert!((along - told_m).abs() < 0.05, "{along} of {told_m} m told");
+    assert!(drive.error().1 < 0.002 && drive.wrong == 0, "{:?}", drive.error());
+}
+
+/// A scrap of a wall, hardly known, between two surfaces one of which is set back by 2 cm: each by itself
+/// may be the scrap's, both may not.
+#[test]
+fn two_surfaces_do_not_become_pieces_of_a_scrap_that_either_fits() {
+    let mut world = World::default();
+    world.room((-4.0, 4.0), (-3.0, 3.0), 2.6);
+    let (mut first, _) = world.observe(&Isometry3::identity(), None);
+    let whole = first.observations.clone();
+    let ahead = |x: f64, y: f64, size: f64, tilt: f64| {
+        let mut piece = whole[0].clone();
+        let axes = [-Vector3::y(), Vector3::z(), -Vector3::x()];
+        let facing = Rotation3::from_basis_unchecked(&axes);
+        let facing = UnitQuaternion::from_rotation_matrix(&facing);
+        piece.robot_from_plane = Isometry3::from_parts(Vector3::new(x, y, 1.0).into(), facing);
+        let half = 0.5 * size;
+        piece.hull = [(-half, -half), (half, -half), (half, half), (-half, half)]
+            .map(|(x, y)| Point2::new(x, y))
+            .to_vec();
+        piece.mask = PlaneMask::default();
+        piece.covariance = Matrix3::from_diagonal(&Vector3::new(1e-6, tilt * tilt, tilt * tilt));
+        piece.points = 200;
+        piece
+    };
+    first.observations.push(ahead(2.5, 0.0, 0.15, 0.04));
+    let mut mapper = Mapper::new(config(), Isometry3::identity());
+    let added = mapper.observe(&first).added;
+    let scrap = added.iter().find(|added| added.observation == whole.len()).unwrap().landmark;
+    let mut second = first.clone();
+    second.observations.truncate(whole.len());
+    second.observations.push(ahead(2.5, 0.45, 0.6, 0.002));
+    second.observations.push(ahead(2.52, -0.45, 0.6, 0.002));
+    mapper.predict(&Isometry3::identity(), MotionSource::Wheels);
+    let report = mapper.observe(&second);
+    let pieces = report.associations.iter().filter(|pair| pair.landmark == scrap).count();
+    assert_eq!(pieces, 1, "{report:?}");
+    assert_eq!(report.associations.len(), whole.len() + 1);
 }
 
 #[test]

@@ -8,4 +8,5 @@ mod robustness;
 mod scanner;
 mod scenes;
 mod score;
+mod unevenness;
 mod world;

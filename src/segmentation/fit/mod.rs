@@ -12,6 +12,7 @@ mod plane;
 mod round;
 mod sphere;
 mod sums;
+mod unevenness;
 
 pub(super) use choose::{
     choose, improve_model, is_flat, mean_square_distance, settle, settle_known, settle_model,
@@ -23,6 +24,7 @@ pub(super) use sums::{
     Columns, PlaneSums, Reference,
     place::{ERROR as SUMMED_ERROR, SQUARE as SUMMED_SQUARE},
 };
+pub(super) use unevenness::{Blocks, Common, Unevenness};
 
 use round::RayColumns;
 

@@ -64,30 +64,15 @@ pub(in super::super) fn plane_of(sums: &PlaneSums) -> Option<PlaneFit> {
         return None;
     }
     let Frame { frame, turn, middle } = frame_of(sums)?;
-    // Sums of w, w s, s, one: over the readings, their places, and pairs of these.
-    let flat = |at: usize| turn * Vector2::new(t[at], t[at + 1]);
-    let scale = 1.0 / (offset_m * offset_m);
-    let form = |n: f64, at: usize, pairs: usize| {
-        let (d, square) = (flat(at), turn * symmetric(t, pairs) * turn.transpose());
-        let (xx, xy, yy) = (square.m11, square.m12, square.m22);
-        Matrix3::new(n, -d.x, d.y, -d.x, xx, -xy, d.y, -xy, yy)
-    };
-    let side = |sum: f64, at: usize| {
-        let d = flat(at);
-        Vector3::new(sum, -d.x, d.y)
-    };
-    let right = side(t[place::WS], place::WSD) / offset_m;
-    // What no reading fixes stays where it is: a prior of one radian.
-    let prior = 1.0 / (FREE_ROTATION_RAD * FREE_ROTATION_RAD);
-    let information = form(t[place::W], place::WD, place::WDD) * scale
-        + Matrix3::from_diagonal(&Vector3::new(0.0, prior, prior));
-    let covariance = information.cholesky()?.inverse();
+    let axes = Axes { turn, offset_m };
+    let (information, right) = axes.equations(t);
+    let covariance = (information + prior()).cholesky()?.inverse();
     let correction = covariance * right;
     let left = (t[place::WSS] - right.dot(&correction)).max(0.0);
     let mean_square = left / ((inliers - 3.0).max(1.0) * GATED_VARIANCE);
     let square = offset_m * offset_m * t[place::SS]
-        - 2.0 * offset_m * side(t[place::S], place::SD).dot(&correction)
-        + correction.dot(&(form(n, place::D, place::DD) * correction));
+        - 2.0 * offset_m * axes.side(t, place::S, place::SD).dot(&correction)
+        + correction.dot(&(axes.form(t, n, place::D, place::DD) * correction));
     let noise = mean_square_range(sums) * n / t[place::GAIN];
     let mut frame = moved(&frame, &correction);
     // The centroid's foot on the plane is the origin.
@@ -105,6 +90,54 @@ pub(in super::super) fn plane_of(sums: &PlaneSums) -> Option<PlaneFit> {
         sigma_m: noise.sqrt(),
         square_m2: (square / n).max(0.0),
     })
+}
+
+/// What no reading fixes stays where it is: information of a prior of one radian.
+pub(super) fn prior() -> Matrix3<f64> {
+    let prior = 1.0 / (FREE_ROTATION_RAD * FREE_ROTATION_RAD);
+    Matrix3::from_diagonal(&Vector3::new(0.0, prior, prior))
+}
+
+/// The axes of a plane's frame, as they are carried to the sums over its readings.
+pub(super) struct Axes {
+    /// From the reference's sides to the frame's x and y.
+    turn: Matrix2<f64>,
+    offset_m: f64,
+}
+
+impl Axes {
+    pub(super) fn of(frame: &Isometry3<f64>, reference: &Reference) -> Self {
+        let [first, second] = reference.sides;
+        let (x, y) = (frame.rotation * Vector3::x(), frame.rotation * Vector3::y());
+        let turn = Matrix2::new(x.dot(&first), x.dot(&second), y.dot(&first), y.dot(&second));
+        Self { turn, offset_m: reference.offset_m }
+    }
+
+    /// A sum over the readings of something, times their places along both axes.
+    fn flat(&self, totals: &[f64], at: usize) -> Vector2<f64> {
+        self.turn * Vector2::new(totals[at], totals[at + 1])
+    }
+
+    /// The sum of the outer products of what the three unknowns move a reading by.
+    fn form(&self, totals: &[f64], n: f64, at: usize, pairs: usize) -> Matrix3<f64> {
+        let d = self.flat(totals, at);
+        let square = self.turn * symmetric(totals, pairs) * self.turn.transpose();
+        let (xx, xy, yy) = (square.m11, square.m12, square.m22);
+        Matrix3::new(n, -d.x, d.y, -d.x, xx, -xy, d.y, -xy, yy)
+    }
+
+    /// The sum of what the three unknowns move a reading by, times an error.
+    fn side(&self, totals: &[f64], sum: usize, at: usize) -> Vector3<f64> {
+        let d = self.flat(totals, at);
+        Vector3::new(totals[sum], -d.x, d.y)
+    }
+
+    /// Matrix and right side of the normal equations.
+    pub(super) fn equations(&self, totals: &[f64]) -> (Matrix3<f64>, Vector3<f64>) {
+        let scale = 1.0 / (self.offset_m * self.offset_m);
+        let matrix = self.form(totals, totals[place::W], place::WD, place::WDD) * scale;
+        (matrix, self.side(totals, place::WS, place::WSD) / self.offset_m)
+    }
 }
 
 /// Mean square of the distances of the readings' places from the sensor.

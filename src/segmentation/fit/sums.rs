@@ -119,7 +119,17 @@ impl PlaneSums {
         runs: impl Iterator<Item = Range<usize>>,
         packed: &mut Packed,
     ) -> Self {
-        run(Summation { reference, columns, runs, packed })
+        run(Summation::<_, true> { reference, columns, runs, packed })
+    }
+
+    /// The same without the sums that have no weights, which only a frame is told from.
+    pub fn weighted_over(
+        reference: Reference,
+        columns: Columns,
+        runs: impl Iterator<Item = Range<usize>>,
+        packed: &mut Packed,
+    ) -> Self {
+        run(Summation::<_, false> { reference, columns, runs, packed })
     }
 
     /// The sums over few readings, in arrays of their own.
@@ -135,15 +145,15 @@ fn run<W: WithSimd>(work: W) -> W::Output {
     }
 }
 
-/// Summing over runs, for vectors of some width.
-struct Summation<'a, I> {
+/// Summing over runs, for vectors of some width; `PLAIN` sums have no weights.
+struct Summation<'a, I, const PLAIN: bool> {
     reference: Reference,
     columns: Columns<'a>,
     runs: I,
     packed: &'a mut Packed,
 }
 
-impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
+impl<I: Iterator<Item = Range<usize>>, const PLAIN: bool> WithSimd for Summation<'_, I, PLAIN> {
     type Output = PlaneSums;
 
     #[inline(always)]
@@ -165,7 +175,7 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
                 let seen = look(simd, &about, readings, &mut own);
                 packed.put(simd, seen, S::F32_LANES);
                 if packed.count >= Packed::FULL {
-                    add_up(simd, packed, &mut own, &mut sums.totals);
+                    add_up::<_, PLAIN>(simd, packed, &mut own, &mut sums.totals);
                 }
             }
             let rest = run.len() % S::F32_LANES;
@@ -185,11 +195,11 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
                 };
                 packed.put(simd, look(simd, &about, readings, &mut own), rest);
                 if packed.count >= Packed::FULL {
-                    add_up(simd, packed, &mut own, &mut sums.totals);
+                    add_up::<_, PLAIN>(simd, packed, &mut own, &mut sums.totals);
                 }
             }
         }
-        add_up(simd, packed, &mut own, &mut sums.totals);
+        add_up::<_, PLAIN>(simd, packed, &mut own, &mut sums.totals);
         sums
     }
 }
@@ -227,7 +237,7 @@ impl<V> About<V> {
 /// There are more sums than a processor has vectors at hand, so the readings are gone through twice: for
 /// the products with weights, and for those without.
 #[inline(always)]
-fn add_up<S: Simd>(
+fn add_up<S: Simd, const PLAIN: bool>(
     simd: S,
     packed: &mut Packed,
     own: &mut [S::f32s; 6],
@@ -244,12 +254,6 @@ fn add_up<S: Simd>(
         let moved = [mul(simd, w, u), mul(simd, w, v)];
         with_places(simd, &mut weighted[1..], [u, v], moved, s);
     }
-    let mut plain = [zero; 9];
-    for ((&u, &v), &s) in u.iter().zip(v).zip(s) {
-        plus(simd, &mut plain[0], s);
-        plus_product(simd, &mut plain[1], s, s);
-        with_places(simd, &mut plain[2..], [u, v], [u, v], s);
-    }
     let mut put = |places: &[usize], sums: &[S::f32s]| {
         for (&place, &sum) in places.iter().zip(sums) {
             totals[place] += f64::from(simd.reduce_sum_f32s(sum));
@@ -257,8 +261,17 @@ fn add_up<S: Simd>(
     };
     put(&place::OWN, own);
     put(&place::WEIGHTED, &weighted);
-    put(&place::PLAIN, &plain);
     *own = [zero; 6];
+    if !PLAIN {
+        return;
+    }
+    let mut plain = [zero; 9];
+    for ((&u, &v), &s) in u.iter().zip(v).zip(s) {
+        plus(simd, &mut plain[0], s);
+        plus_product(simd, &mut plain[1], s, s);
+        with_places(simd, &mut plain[2..], [u, v], [u, v], s);
+    }
+    put(&place::PLAIN, &plain);
 }
 
 /// Adds up weighted places on the plane, their products with the errors, and with the places.

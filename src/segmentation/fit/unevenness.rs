@@ -1,0 +1,291 @@
+//! How uneven the surface of a fitted plane is, told from the residuals of its fit.
+//!
+//! Plaster, boards and floors wave by millimetres. Readings on one wave err alike, so a thousand of them
+//! may tell a plane no better than ten, and a look at another part of the surface finds another plane. The
+//! scatter of single readings does not show it, that is the noise that each has for itself; sums over
+//! blocks of readings do.
+//!
+//! For a plane fitted with the normal matrix `A = Σ A_b`, let `g_b` be what block b leaves in the right
+//! side at the solution. Of independent readings `E[g_b g_bᵀ] = A_b - A_b A⁻¹ A_b`, so that the sum of
+//! `g_bᵀ A⁻¹ g_b` is known, and nearly χ² distributed. Errors that a block has in common enlarge it (Liang
+//! and Zeger's estimator for clusters, as a test). What the means of blocks then scatter by beyond what
+//! noise explains is the unevenness.
+
+use super::GATED_VARIANCE;
+use super::packed::Packed;
+use super::plane::{Axes, prior};
+use super::sums::{Columns, PlaneSums, Reference, place};
+use nalgebra::{Isometry3, Matrix3, Vector3};
+use std::ops::Range;
+
+/// Bands of steps, and parts of the lanes in each, that a region is divided into.
+const SIDE: usize = 4;
+/// How many bands and parts the test takes together: waves may be as long as a block, or longer.
+const MERGED: [(usize, usize); 4] = [(1, 1), (2, 1), (1, 2), (2, 2)];
+/// Fewest readings of a region that is divided, four in a block, and how many are enough.
+const FEWEST: usize = 4 * SIDE * SIDE;
+const ENOUGH: usize = 4096;
+/// Deviations of a normal variable that one in ten thousand exceeds. A scan has ten large planes, and an
+/// even one that is called uneven is told worse than it is known.
+const SURE: f64 = 3.72;
+/// Parameters of a plane.
+const UNKNOWNS: f64 = 3.0;
+
+/// What readings are known to have in common on an even surface.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) struct Common {
+    /// Readings over an area that tell as much as one whose error is its own.
+    pub patch: f64,
+    /// Share of the variance across the plane that all readings of a row of the grid have in common.
+    pub row_share: f64,
+    /// Whether these rows are the field's lanes, not its steps.
+    pub rows_are_lanes: bool,
+}
+
+/// What blocks of readings tell of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in super::super) struct Unevenness {
+    /// Variance of their means about the plane beyond what noise explains, in m²; less than none where
+    /// chance has it.
+    pub excess_m2: f64,
+    /// What noise explains, in m².
+    pub noise_m2: f64,
+    /// Whether noise does not explain all.
+    pub is_sure: bool,
+}
+
+impl Unevenness {
+    /// The best guess of the variance, in m², where surfaces usually have `usual_m2` and vary by about as
+    /// much: what was measured, as far as noise let it be measured. What is sure is not guessed down.
+    pub fn told_m2(&self, usual_m2: f64) -> f64 {
+        let degrees = (SIDE * SIDE) as f64 - UNKNOWNS;
+        let error = 2.0 * (usual_m2 + self.noise_m2).powi(2) / degrees;
+        let trust = usual_m2 * usual_m2 / (usual_m2 * usual_m2 + error).max(f64::MIN_POSITIVE);
+        let guess = (usual_m2 + trust * (self.excess_m2 - usual_m2)).max(0.0);
+        if self.is_sure { guess.max(self.excess_m2) } else { guess }
+    }
+}
+
+/// Divides regions into blocks. The buffers are kept from region to region.
+#[derive(Clone, Debug, Default)]
+pub(in super::super) struct Blocks {
+    runs: Vec<Run>,
+    sums: Vec<PlaneSums>,
+}
+
+/// Successive cells of one step.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    step: usize,
+    /// First and one beyond the last of its lanes.
+    lanes: (usize, usize),
+}
+
+impl Run {
+    fn len(&self) -> usize {
+        self.lanes.1 - self.lanes.0
+    }
+}
+
+/// The lanes that runs lie between.
+fn ends(runs: &[Run]) -> (usize, usize) {
+    runs.iter()
+        .fold((usize::MAX, 0), |(left, right), run| (left.min(run.lanes.0), right.max(run.lanes.1)))
+}
+
+impl Blocks {
+    /// How uneven the region is whose plane was found to be `grid_from_plane`; `None` for too few readings.
+    ///
+    /// `runs` are its successive cells in a field so many `lanes` wide. About [`ENOUGH`] of the cells are
+    /// gone through, once.
+    pub fn unevenness(
+        &mut self,
+        grid_from_plane: &Isometry3<f64>,
+        columns: Columns,
+        (runs, lanes): (impl Iterator<Item = Range<usize>> + Clone, usize),
+        common: &Common,
+        packed: &mut Packed,
+    ) -> Option<Unevenness> {
+        let cells: usize = runs.clone().map(|run| run.len()).sum();
+        if cells < FEWEST {
+            return None;
+        }
+        let stride = cells.div_ceil(ENOUGH);
+        self.runs.clear();
+        self.runs.extend(runs.filter_map(|run| {
+            let step = run.start / lanes;
+            let lanes = (run.start - step * lanes, run.end - step * lanes);
+            step.is_multiple_of(stride).then_some(Run { step, lanes })
+        }));
+        let cells: usize = self.runs.iter().map(Run::len).sum();
+        if cells < FEWEST {
+            return None;
+        }
+        let normal = grid_from_plane.rotation * Vector3::z();
+        let offset_m = normal.dot(&grid_from_plane.translation.vector);
+        let middle = self.runs[self.runs.len() / 2];
+        let middle = middle.step * lanes + middle.lanes.0;
+        let near = [columns.x[middle], columns.y[middle], columns.z[middle]].map(f64::from);
+        let reference = Reference::new((normal / offset_m).into(), near);
+        self.sum_up(reference, columns, (lanes, cells), packed);
+        let rows = if common.rows_are_lanes {
+            let (left, right) = ends(&self.runs);
+            right - left
+        } else {
+            (self.runs[self.runs.len() - 1].step - self.runs[0].step) / stride + 1
+        };
+        self.judge(&Axes::of(grid_from_plane, &reference), common, (cells, rows))
+    }
+
+    /// Divides the runs into bands of equal numbers of cells, these into parts of equal width, and sums
+    /// each up.
+    fn sum_up(
+        &mut self,
+        reference: Reference,
+        columns: Columns,
+        (lanes, cells): (usize, usize),
+        packed: &mut Packed,
+    ) {
+        self.sums.clear();
+        let (mut begin, mut taken) = (0, 0);
+        for band in 1..=SIDE {
+            let mut end = begin;
+            while end < self.runs.len() {
+                let is_same_step = end > begin && self.runs[end].step == self.runs[end - 1].step;
+                if taken >= band * cells / SIDE && !is_same_step {
+                    break;
+                }
+                taken += self.runs[end].len();
+                end += 1;
+            }
+            let runs = &self.runs[begin..end];
+            let (left, right) = ends(runs);
+            for part in 0..SIDE {
+                let cut = |part: usize| {
+                    if runs.is_empty() { 0 } else { left + part * (right - left) / SIDE }
+                };
+                let (from, to) = (cut(part), cut(part + 1));
+                let clipped = runs.iter().filter_map(|run| {
+                    let start = run.step * lanes;
+                    let (a, b) = (run.lanes.0.max(from), run.lanes.1.min(to));
+                    (a < b).then_some(start + a..start + b)
+                });
+                self.sums.push(PlaneSums::weighted_over(reference, columns, clipped, packed));
+            }
+            begin = end;
+        }
+    }
+
+    fn judge(
+        &self,
+        axes: &Axes,
+        common: &Common,
+        (cells, rows): (usize, usize),
+    ) -> Option<Unevenness> {
+        let blocks: Vec<(Matrix3<f64>, Vector3<f64>)> =
+            self.sums.iter().map(|sums| axes.equations(&sums.totals)).collect();
+        let all: Matrix3<f64> = blocks.iter().map(|block| block.0).sum();
+        let right: Vector3<f64> = blocks.iter().map(|block| block.1).sum();
+        let root = (all + prior()).cholesky()?;
+        let fit = Fit { covariance: root.inverse(), correction: root.solve(&right) };
+        let total = |at: usize| self.sums.iter().map(|sums| sums.totals[at]).sum::<f64>();
+        let left = (total(place::WSS) - right.dot(&fit.correction)).max(0.0);
+        let free = (total(place::INLIERS) - UNKNOWNS).max(1.0);
+        // In units of what is told of single readings, as the plane's covariance is.
+        let scatter = (left / (free * GATED_VARIANCE)).max(1.0);
+        // Times that a block's variance is as large as if its readings erred each for itself.
+        let alike = |parts: usize| {
+            let in_row = (cells as f64 / (rows * parts) as f64).max(1.0);
+            scatter * common.patch.max(1.0 + common.row_share * (in_row - 1.0))
+        };
+        let is_sure = MERGED.into_iter().any(|(bands, parts)| {
+            let beside = SIDE / if common.rows_are_lanes { bands } else { parts };
+            let Some((ratio, degrees)) = fit.left_in(&blocks, (bands, parts)) else { return false };
+            let few_rows = if common.row_share > 0.0 {
+                UNKNOWNS * (rows as f64 - 1.0).max(1.0)
+            } else {
+                f64::INFINITY
+            };
+            ratio > alike(beside) * least_sure(degrees.min(few_rows))
+        });
+        let (mut square, mut noise, mut count) = (0.0, 0.0, 0.0);
+        for (a, g) in blocks.iter().filter(|(a, _)| a[(0, 0)] > 0.0) {
+            let weight = a[(0, 0)];
+            square += ((g - a * fit.correction)[0] / weight).powi(2);
+            let taken = (a * fit.covariance * a)[(0, 0)];
+            noise += alike(SIDE) * ((weight - taken) / (weight * weight)).max(0.0);
+            count += 1.0;
+        }
+        let free = (count - UNKNOWNS).max(1.0);
+        Some(Unevenness { excess_m2: (square - noise) / free, noise_m2: noise / free, is_sure })
+    }
+}
+
+/// The plane through all blocks, beside the one that their sums were taken about.
+struct Fit {
+    covariance: Matrix3<f64>,
+    correction: Vector3<f64>,
+}
+
+impl Fit {
+    /// What so many bands and parts taken together leave in the right side, in units of what independent
+    /// readings do, and the degrees of freedom of that; `None` where the fit takes nearly all.
+    fn left_in(
+        &self,
+        blocks: &[(Matrix3<f64>, Vector3<f64>)],
+        (bands, parts): (usize, usize),
+    ) -> Option<(f64, f64)> {
+        let (mut seen, mut free, mut square) = (0.0, 0.0, 0.0);
+        for band in (0..SIDE).step_by(bands) {
+            for part in (0..SIDE).step_by(parts) {
+                let (mut a, mut g) = (Matrix3::zeros(), Vector3::zeros());
+                for at in (band..band + bands).map(|band| band * SIDE + part) {
+                    for block in &blocks[at..at + parts] {
+                        a += block.0;
+                        g += block.1;
+                    }
+                }
+                g -= a * self.correction;
+                let share = self.covariance * a;
+                let own = share - share * share;
+                seen += g.dot(&(self.covariance * g));
+                free += own.trace();
+                square += (own * own).trace();
+            }
+        }
+        // A sum of squares of normal variables is nearly χ² of so many degrees (Satterthwaite).
+        (free > 1.0).then(|| (seen / free, free * free / square))
+    }
+}
+
+/// What a χ² variable, divided by its degrees of freedom, exceeds once in ten thousand times (Wilson and
+/// Hilferty).
+fn least_sure(degrees: f64) -> f64 {
+    let variance = 2.0 / (9.0 * degrees);
+    (1.0 - variance + SURE * variance.sqrt()).powi(3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bound_of_the_test_is_the_quantile_of_the_tables() {
+        for (degrees, quantile) in [(3.0, 21.108), (7.0, 29.878), (25.0, 60.140), (43.0, 86.281)] {
+            assert!((least_sure(degrees) * degrees / quantile - 1.0).abs() < 0.01);
+        }
+    }
+
+    #[test]
+    fn what_is_measured_badly_is_what_is_usual_and_what_is_sure_is_kept() {
+        let of = |excess_m2: f64, noise_m2: f64, is_sure: bool| Unevenness {
+            excess_m2,
+            noise_m2,
+            is_sure,
+        };
+        assert_eq!(of(-1e-6, 1e-6, false).told_m2(0.0), 0.0);
+        assert_eq!(of(4e-6, 1e-8, true).told_m2(0.0), 4e-6);
+        assert!((of(-1e-4, 1e-3, false).told_m2(1e-6) - 1e-6).abs() < 1e-8);
+        assert!(of(0.0, 1e-9, false).told_m2(1e-6) < 2e-7);
+    }
+}
