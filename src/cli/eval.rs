@@ -6,6 +6,7 @@ use super::say;
 use crate::driver::simulated::passability;
 use crate::export::coverage::Passability;
 use crate::export::evaluate::{Evaluation, evaluate};
+use crate::export::tum;
 use crate::files::run;
 use crate::files::world::{WorldFiles, built_in_names, load_world};
 use crate::terrain::RobotShape;
@@ -17,7 +18,9 @@ use std::process::ExitCode;
 
 /// Arguments of `usar eval`.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  usar eval run/\n  usar eval run/ other/ --format json")]
+#[command(
+    after_help = "Examples:\n  usar eval run/\n  usar eval run/ other/ --format json\n  usar eval map/ --truth truth.tum"
+)]
 pub struct EvalArguments {
     /// Run folder
     run: PathBuf,
@@ -26,6 +29,10 @@ pub struct EvalArguments {
     /// Scenario of the runs, where its name in the report is not one in the program
     #[arg(long, value_name = "FILE")]
     scenario: Option<PathBuf>,
+    /// True poses, TUM lines, for a run without a truth.tum: of the robot, or of the sensor at each scan
+    /// for a folder of `usar map`
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
     /// Form of the scores
     #[arg(long, value_enum, default_value_t, help_heading = "Output")]
     format: Format,
@@ -39,10 +46,8 @@ pub struct EvalArguments {
 pub fn run(arguments: &EvalArguments) -> Result<ExitCode> {
     let folders: Vec<&Path> =
         std::iter::once(&arguments.run).chain(&arguments.run2).map(PathBuf::as_path).collect();
-    let scores: Vec<Evaluation> = folders
-        .iter()
-        .map(|folder| score(folder, arguments.scenario.as_deref()))
-        .collect::<Result<_>>()?;
+    let scores: Vec<Evaluation> =
+        folders.iter().map(|folder| score(folder, arguments)).collect::<Result<_>>()?;
     write_stdout(&match (arguments.format, scores.as_slice()) {
         (Format::Json, [only]) => serde_json::to_string_pretty(only)? + "\n",
         (Format::Json, both) => serde_json::to_string_pretty(both)? + "\n",
@@ -51,13 +56,25 @@ pub fn run(arguments: &EvalArguments) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn score(folder: &Path, scenario: Option<&Path>) -> Result<Evaluation> {
-    let files = run::load(folder)?;
-    let world = match scenario {
+fn score(folder: &Path, arguments: &EvalArguments) -> Result<Evaluation> {
+    let mut files = run::load(folder)?;
+    if let (Some(path), true) = (&arguments.truth, files.truth.is_empty()) {
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("cannot read {}", path.display()))?;
+        files.truth = tum::parse(&text).with_context(|| format!("{}", path.display()))?;
+    }
+    let is_map = files.report.is_of_map();
+    let world = match &arguments.scenario {
         Some(path) => Some(load_world(path)?),
         None => known_world(&files.report.scenario)?,
     };
-    if world.is_none() {
+    if world.is_none() && is_map {
+        say::warn(format_args!(
+            "{}: planes are not scored without the world they are of, name its scenario's file with \
+             --scenario; what planes were taken for is told from the planes themselves",
+            folder.display()
+        ));
+    } else if world.is_none() {
         say::warn(format_args!(
             "{}: scenario `{}` is not known, so coverage and planes are not scored; name \
              its file with --scenario",
@@ -66,7 +83,21 @@ fn score(folder: &Path, scenario: Option<&Path>) -> Result<Evaluation> {
         ));
     }
     if files.truth.is_empty() {
-        say::warn(format_args!("{}: no truth.tum, so no pose is scored", folder.display()));
+        say::warn(format_args!(
+            "{}: no truth.tum, so nothing is scored; name the true poses with --truth",
+            folder.display()
+        ));
+    } else if files.keyframes.is_empty() {
+        say::warn(format_args!(
+            "{}: no keyframes.json, so neither NEES nor associations are scored",
+            folder.display()
+        ));
+    } else if files.keyframes.iter().skip(1).all(|keyframe| keyframe.motion_covariance.is_none()) {
+        say::warn(format_args!(
+            "{}: no covariances in keyframes.json, as the paper's filter keeps none of motions, so no \
+             NEES is told",
+            folder.display()
+        ));
     }
     let limits = world.as_ref().map(limits).transpose()?;
     Ok(evaluate(&files, world.as_ref().map(|world| &world.world).zip(limits.as_ref())))
@@ -134,6 +165,10 @@ fn table(folders: &[&Path], scores: &[Evaluation]) -> String {
         score.planes.map(|p| format!("{:.3}", p.tilt_median_deg))
     });
     row("NEES of keyframes (6)", &|score| score.nees.map(|nees| format!("{:.2}", nees.mean)));
+    row("truth told to, m and deg", &|score| {
+        let nees = score.nees.filter(|nees| nees.truth_step_m.max(nees.truth_step_rad) > 0.0)?;
+        Some(format!("{} / {:.4}", nees.truth_step_m, nees.truth_step_rad.to_degrees()))
+    });
     row("within 95 %", &|score| score.nees.map(|nees| format!("{:.2}", nees.within_95)));
     row("associations right / wrong", &|score| {
         score.associations.map(|a| format!("{} / {}", a.right, a.wrong))

@@ -4,6 +4,7 @@ mod grid;
 
 use super::files::{Format, median, read_scan, write_stdout};
 use super::say;
+use crate::export::keyframes::keyframes_at;
 use crate::export::landmarks::{rows, surface_polygons, surfaces_json};
 use crate::export::ply;
 use crate::export::run_folder::trinary_map;
@@ -44,8 +45,8 @@ pub struct MapArguments {
     /// Which filter runs
     #[arg(long, value_enum, default_value_t)]
     mode: ModeArgument,
-    /// Folder for trajectory.tum, planes.ply, surfaces.json, report.json and the grid: map.pgm,
-    /// map.yaml, map.png
+    /// Folder for trajectory.tum, planes.ply, surfaces.json, keyframes.json, report.json and the
+    /// grid: map.pgm, map.yaml, map.png; `usar eval` scores it
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Form of the summary on standard output
@@ -223,7 +224,6 @@ impl Score {
     }
 
     fn json(&self) -> Value {
-        let mean = self.nees.iter().sum::<f64>() / self.nees.len().max(1) as f64;
         json!({
             "rpe_median_m": median(&self.translation_m),
             "rpe_median_deg": median(&self.rotation_rad).to_degrees(),
@@ -231,8 +231,14 @@ impl Score {
             "rpe_max_deg": self.rotation_rad.iter().copied().fold(0.0, f64::max).to_degrees(),
             "final_m": self.final_m,
             "final_deg": self.final_rad.to_degrees(),
-            "nees_mean": (!self.nees.is_empty()).then_some(mean),
+            "nees_mean": self.mean_nees(),
         })
+    }
+
+    /// `None` where no motion has a covariance.
+    fn mean_nees(&self) -> Option<f64> {
+        let count = self.nees.len();
+        (count > 0).then(|| self.nees.iter().sum::<f64>() / count as f64)
     }
 }
 
@@ -312,6 +318,8 @@ fn write_outputs(
     write("planes.ply", ply::format(&surface_polygons(mapper)).as_bytes())?;
     let surfaces = json!({ "surfaces": surfaces_json(mapper) });
     write("surfaces.json", serde_json::to_string_pretty(&surfaces)?.as_bytes())?;
+    let keyframes = keyframes_at(mapper, steps.iter().map(|step| Some(step.time_s)));
+    write("keyframes.json", &serde_json::to_vec(&keyframes)?)?;
     write("report.json", serde_json::to_string_pretty(document)?.as_bytes())
 }
 
@@ -351,10 +359,13 @@ fn summary(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> String {
     }
     let _ = writeln!(text, "{} landmarks", mapper.surface_count());
     if let Some(score) = score {
-        let nees = score.nees.iter().sum::<f64>() / score.nees.len().max(1) as f64;
+        let nees = score.mean_nees().map_or_else(
+            || "no NEES: the paper's filter keeps no covariance of motions".to_owned(),
+            |nees| format!("NEES {nees:.2} (6 expected)"),
+        );
         let _ = writeln!(
             text,
-            "motion error median {:.2} mm {:.4}°, NEES {nees:.2} (6 expected); final error {:.2} mm {:.4}°",
+            "motion error median {:.2} mm {:.4}°, {nees}; final error {:.2} mm {:.4}°",
             1e3 * median(&score.translation_m),
             median(&score.rotation_rad).to_degrees(),
             1e3 * score.final_m,

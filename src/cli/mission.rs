@@ -225,6 +225,21 @@ pub fn summary(report: &Report, folder: &std::path::Path) -> String {
         report.sweeps.len(),
         report.distance_m
     );
+    let fixes = &report.localisation;
+    if fixes.weak_scans > 0 || fixes.most_hypotheses > 1 {
+        let _ = writeln!(
+            text,
+            "  place    {} of {} scans left a direction open{}, {} explanations alive (most {})",
+            fixes.weak_scans,
+            fixes.scans,
+            fixes.last_weak.last().map_or_else(String::new, |weak| {
+                let axes: Vec<&str> = weak.open.iter().map(|open| &*open.axis).collect();
+                format!(", the last one {}", axes.join(", "))
+            }),
+            fixes.hypotheses,
+            fixes.most_hypotheses
+        );
+    }
     text += &sweep_times(report);
     if let (Some(coverage), Some(explored), Some(reachable)) =
         (report.coverage, report.explored_m2, report.reachable_m2)

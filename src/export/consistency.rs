@@ -3,6 +3,7 @@
 use super::evaluate::{UnderPatch, true_surface};
 use super::keyframes::Keyframe;
 use super::score::{at, settled_s};
+use super::truth_steps::Steps;
 use super::tum::TimedPose;
 use crate::mapping::perturbation::pose_error;
 use crate::sim::World;
@@ -16,6 +17,9 @@ const WITHIN_95: f64 = 12.592;
 /// Two sightings lie on one true surface if that surface's planes agree to this at each other's place.
 const SAME_PLANE_M: f64 = 0.005;
 const SAME_PLANE_RAD: f64 = 0.01;
+/// The same for sightings themselves, which err: what lies closer together passes for one surface here.
+const SEEN_ALIKE_M: f64 = 0.03;
+const SEEN_ALIKE_RAD: f64 = 0.1;
 
 /// Normalised estimation errors squared of the motions from the first keyframe to each later one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -27,6 +31,11 @@ pub struct Nees {
     pub mean: f64,
     /// Share below the 95 % quantile of χ² with six degrees of freedom.
     pub within_95: f64,
+    /// What the truth's places were rounded to in metres, and its angles in radians; 0 for a truth that was
+    /// not. The errors that this makes are allowed for.
+    pub truth_step_m: f64,
+    /// See `truth_step_m`.
+    pub truth_step_rad: f64,
 }
 
 /// What planes were taken for, against the surfaces of the world that they lie on.
@@ -40,8 +49,9 @@ pub struct Associations {
     pub unknown: usize,
 }
 
-/// NEES of the keyframes; `None` without truth or covariances.
-pub fn nees(keyframes: &[Keyframe], truth: &[TimedPose]) -> Option<Nees> {
+/// NEES of the keyframes; `None` without truth or covariances. `steps` are what the truth was rounded to: a
+/// motion is no better known than both of its ends, and the angles of the first move all that is far from it.
+pub(super) fn nees(keyframes: &[Keyframe], truth: &[TimedPose], steps: Steps) -> Option<Nees> {
     let pose_at = true_poses(truth)?;
     let first = keyframes.first()?;
     let first_true = pose_at(first)?;
@@ -49,9 +59,11 @@ pub fn nees(keyframes: &[Keyframe], truth: &[TimedPose]) -> Option<Nees> {
         .iter()
         .filter_map(|keyframe| {
             let motion = first.pose.inverse() * keyframe.pose;
-            let true_motion = first_true.inverse() * pose_at(keyframe)?;
+            let pose_true = pose_at(keyframe)?;
+            let true_motion = first_true.inverse() * pose_true;
             let error = pose_error(&true_motion, &motion);
-            let information = keyframe.motion_covariance?.try_inverse()?;
+            let rounding = steps.of_motion(&first_true, &pose_true);
+            let information = (keyframe.motion_covariance? + rounding).try_inverse()?;
             Some(error.dot(&(information * error)))
         })
         .collect();
@@ -60,30 +72,45 @@ pub fn nees(keyframes: &[Keyframe], truth: &[TimedPose]) -> Option<Nees> {
         keyframes: errors.len(),
         mean: errors.iter().sum::<f64>() / errors.len() as f64,
         within_95: within as f64 / errors.len() as f64,
+        truth_step_m: steps.place_m,
+        truth_step_rad: steps.angle_rad,
     })
 }
 
-/// Associations right and wrong; `None` without truth or sightings.
+/// Associations right and wrong; `None` without truth or sightings. Where the world is not known the
+/// sightings, carried to where they were truly made, are compared with one another.
 pub fn associations(
     keyframes: &[Keyframe],
     truth: &[TimedPose],
-    world: &World,
+    world: Option<&World>,
 ) -> Option<Associations> {
+    let (within_m, within_rad) =
+        world.map_or((SEEN_ALIKE_M, SEEN_ALIKE_RAD), |_| (SAME_PLANE_M, SAME_PLANE_RAD));
     let pose_at = true_poses(truth)?;
     let mut surfaces: BTreeMap<u32, Vec<UnderPatch>> = BTreeMap::new();
     let mut score = Associations::default();
     for keyframe in keyframes {
         let Some(pose) = pose_at(keyframe) else { continue };
         for sighting in &keyframe.sightings {
-            match true_surface(&sighting.patch, world, &pose) {
+            let surface = match world {
+                Some(world) => true_surface(&sighting.patch, world, &pose),
+                None => Some(UnderPatch {
+                    point: pose * sighting.patch.centroid,
+                    normal: pose * sighting.patch.normal,
+                    offset_m: 0.0,
+                    tilt_deg: 0.0,
+                }),
+            };
+            match surface {
                 Some(surface) => surfaces.entry(sighting.landmark).or_default().push(surface),
                 None => score.unknown += 1,
             }
         }
     }
     for seen in surfaces.values() {
-        let agreeing =
-            |one: &UnderPatch| seen.iter().filter(|other| same_plane(one, other)).count();
+        let agreeing = |one: &UnderPatch| {
+            seen.iter().filter(|other| same_plane(one, other, within_m, within_rad)).count()
+        };
         let right = seen.iter().map(agreeing).max().unwrap_or(0);
         score.right += right;
         score.wrong += seen.len() - right;
@@ -98,10 +125,10 @@ fn true_poses(truth: &[TimedPose]) -> Option<impl Fn(&Keyframe) -> Option<Isomet
 }
 
 /// Whether two true surfaces are of one plane.
-fn same_plane(a: &UnderPatch, b: &UnderPatch) -> bool {
+fn same_plane(a: &UnderPatch, b: &UnderPatch, within_m: f64, within_rad: f64) -> bool {
     let apart = b.point - a.point;
     let off_m = apart.dot(&a.normal).abs().min(apart.dot(&b.normal).abs());
-    a.normal.angle(&b.normal) <= SAME_PLANE_RAD && off_m <= SAME_PLANE_M
+    a.normal.angle(&b.normal) <= within_rad && off_m <= within_m
 }
 
 #[cfg(test)]
@@ -133,7 +160,7 @@ mod tests {
             keyframe(10.0, 0.03, vec![]),
             keyframe(20.0, 0.05, vec![]),
         ];
-        let nees = nees(&keyframes, &truth()).unwrap();
+        let nees = nees(&keyframes, &truth(), Steps::default()).unwrap();
         assert_eq!(nees.keyframes, 2);
         assert!((nees.mean - (9.0 + 25.0) / 2.0).abs() < 1e-6, "{nees:?}");
         assert!((nees.within_95 - 0.5).abs() < 1e-9);
@@ -163,7 +190,10 @@ mod tests {
             keyframe(10.0, 0.0, vec![floor(2.0, -0.1)]),
             keyframe(11.0, 0.0, vec![floor(9.0, -0.2)]),
         ];
-        let score = associations(&seen, &truth(), &world).unwrap();
+        let score = associations(&seen, &truth(), Some(&world)).unwrap();
         assert_eq!(score, Associations { right: 2, wrong: 1, unknown: 1 });
+        // By themselves three lie in one plane, and one does not.
+        let score = associations(&seen, &truth(), None).unwrap();
+        assert_eq!(score, Associations { right: 3, wrong: 1, unknown: 0 });
     }
 }

@@ -6,6 +6,7 @@ use super::keyframes::Keyframe;
 use super::report::Report;
 use super::score::{at, settled_s};
 use super::timeline::Timeline;
+use super::truth_steps::Steps;
 use super::tum::TimedPose;
 use crate::sim::World;
 use nalgebra::{Isometry3, Point3, Unit, Vector3};
@@ -96,7 +97,8 @@ pub struct Evaluation {
     pub planes: Option<PlaneErrors>,
     /// Errors of the keyframes against their covariance.
     pub nees: Option<Nees>,
-    /// What planes were taken for.
+    /// What planes were taken for: against the surfaces of the world, or where that is not known against one
+    /// another.
     pub associations: Option<Associations>,
     /// By the simulator's count.
     pub falls: Option<usize>,
@@ -177,7 +179,11 @@ pub fn evaluate(files: &RunFiles, world: Option<(&World, &Passability)>) -> Eval
     evaluation.ate = ate;
     evaluation.true_path_m = Some(path_m);
     evaluation.rpe = relative(&pairs);
-    evaluation.nees = consistency::nees(&files.keyframes, &files.truth);
+    // Poses given with scans may be round numbers and exact; what a wire tells was rounded.
+    let steps = if report.is_of_map() { Steps::default() } else { Steps::of(&files.truth) };
+    evaluation.nees = consistency::nees(&files.keyframes, &files.truth, steps);
+    evaluation.associations =
+        consistency::associations(&files.keyframes, &files.truth, world.map(|(world, _)| world));
     let Some((world, limits)) = world else { return evaluation };
     if let (Some(evidence), Some(first)) = (&files.evidence, files.truth.first()) {
         let start = Point3::from(first.pose.translation.vector);
@@ -188,7 +194,6 @@ pub fn evaluate(files: &RunFiles, world: Option<(&World, &Passability)>) -> Eval
         evaluation.coverage = (reachable_m2 > 0.0).then(|| explored_m2 / reachable_m2);
     }
     evaluation.planes = planes(files, world, &true_from_map);
-    evaluation.associations = consistency::associations(&files.keyframes, &files.truth, world);
     evaluation
 }
 

@@ -34,14 +34,22 @@ pub struct Sighting {
 
 /// The keyframes of a belief, in order.
 pub fn keyframes(belief: &Belief) -> Vec<Keyframe> {
-    let mapper = belief.mapper();
-    let record = |(number, (pose, stamp)): (usize, (Isometry3<f64>, Option<Stamp>))| Keyframe {
-        time_s: stamp.map(Stamp::seconds),
+    let times = belief.keyframe_stamps().map(|stamp| stamp.map(Stamp::seconds));
+    keyframes_at(belief.mapper(), times)
+}
+
+/// The keyframes of a mapper, in order, made at `times_s`.
+pub fn keyframes_at(
+    mapper: &Mapper,
+    times_s: impl IntoIterator<Item = Option<f64>>,
+) -> Vec<Keyframe> {
+    let record = |(number, (pose, time_s)): (usize, (Isometry3<f64>, Option<f64>))| Keyframe {
+        time_s,
         pose,
         motion_covariance: mapper.motion_covariance(0, number),
         sightings: sightings(mapper, number),
     };
-    mapper.keyframes().into_iter().zip(belief.keyframe_stamps()).enumerate().map(record).collect()
+    mapper.keyframes().into_iter().zip(times_s).enumerate().map(record).collect()
 }
 
 fn sightings(mapper: &Mapper, number: usize) -> Vec<Sighting> {

@@ -19,4 +19,5 @@ pub mod scene3d;
 pub mod score;
 pub mod segment_images;
 pub mod timeline;
+mod truth_steps;
 pub mod tum;

@@ -1,5 +1,7 @@
 //! `report.json`: what a run came to.
 
+use crate::mapping::WeakDirection;
+use crate::mission::Fixes;
 use serde::{Deserialize, Serialize};
 
 /// Everything a run's report holds. A field that needs ground truth is `None` without it.
@@ -30,6 +32,9 @@ pub struct Report {
     pub landmarks: usize,
     /// Observations matched to a landmark over the mission.
     pub associations: usize,
+    /// How well the scans fixed the robot's place.
+    #[serde(default)]
+    pub localisation: Localisation,
     /// Floor that the robot can be driven to on the true map, in m².
     pub reachable_m2: Option<f64>,
     /// Part of it that was explored, in m².
@@ -68,6 +73,79 @@ pub struct Report {
     pub link: LinkCounts,
     /// What the agent was warned of: missing answers, clipped sweeps, blind ground, damaged lines.
     pub warnings: Vec<String>,
+}
+
+impl Report {
+    /// The `scenario` of a folder that `usar map` wrote: scans are of no scenario that it knows.
+    pub const MAPPED: &str = "usar map";
+
+    /// Whether it stands for what `usar map` wrote.
+    pub fn is_of_map(&self) -> bool {
+        self.scenario == Self::MAPPED
+    }
+}
+
+/// How well the scans fixed the robot's place.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Localisation {
+    /// Scans that met a map.
+    pub scans: usize,
+    /// Those of them that left a direction open: along a corridor, or on a floor alone.
+    pub weak_scans: usize,
+    /// The last few of these.
+    pub last_weak: Vec<WeakScan>,
+    /// Explanations of all that was seen that are alive at the end; 1 where nothing is ambiguous.
+    pub hypotheses: usize,
+    /// Most that were alive at once.
+    pub most_hypotheses: usize,
+    /// Loops closed.
+    pub loops_closed: usize,
+    /// Times that another explanation became the best.
+    pub explanations_changed: usize,
+}
+
+/// A scan that left a direction open.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WeakScan {
+    /// Its number among those in the map, from 0: its place in `keyframes.json`.
+    pub scan: usize,
+    /// The directions, weakest first.
+    pub open: Vec<OpenDirection>,
+}
+
+/// A direction that a scan left open.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OpenDirection {
+    /// The axis that it has most of: `forward`, `left`, `up`, `roll`, `pitch`, `heading`.
+    pub axis: String,
+    /// Unit direction in the robot frame: forward, left and up in metres, then rotations about these axes
+    /// in units of 1/3 rad.
+    pub direction: [f64; 6],
+    /// Standard deviation in metres that the scan alone leaves along it; null where it says nothing.
+    pub sigma_m: Option<f64>,
+}
+
+impl From<&Fixes> for Localisation {
+    fn from(fixes: &Fixes) -> Self {
+        let open = |weak: &WeakDirection| OpenDirection {
+            axis: weak.word().to_owned(),
+            direction: weak.direction.into(),
+            sigma_m: weak.sigma_m.is_finite().then_some(weak.sigma_m),
+        };
+        let weak = fixes.last_weak.iter().map(|weak| WeakScan {
+            scan: weak.scan,
+            open: weak.directions.iter().map(open).collect(),
+        });
+        Self {
+            scans: fixes.scans,
+            weak_scans: fixes.weak,
+            last_weak: weak.collect(),
+            hypotheses: fixes.hypotheses,
+            most_hypotheses: fixes.most_hypotheses,
+            loops_closed: fixes.loops_closed,
+            explanations_changed: fixes.explanations_changed,
+        }
+    }
 }
 
 /// What came over the link, in lines.

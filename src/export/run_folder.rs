@@ -74,6 +74,7 @@ pub fn agent_report(agent: &Agent, scenario: &str, seed: u64) -> Report {
     report.surfaces = SurfaceCounts { planes, spheres, cylinders };
     report.landmarks = running.belief().mapper().surface_count();
     report.associations = ledger.associations;
+    report.localisation = (&ledger.fixes).into();
     report.stuck = ledger.troubles;
     report.distance_m = running.belief().path_m();
     report.victims = VictimCounts::default();

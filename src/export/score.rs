@@ -116,6 +116,10 @@ pub fn settled_s(truth: &[TimedPose]) -> Option<f64> {
     const AT_REST_S: f64 = 0.4;
     const AT_REST_M: f64 = 0.002;
     let first = truth.first()?;
+    // Between samples farther apart nobody is seen to come down: poses of scans, say.
+    if truth.get(1).is_none_or(|second| second.time_s > first.time_s + AT_REST_S) {
+        return Some(first.time_s);
+    }
     let rests = |timed: &&TimedPose| {
         let later = truth.iter().find(|later| later.time_s >= timed.time_s + AT_REST_S);
         later.is_some_and(|later| {

@@ -2,6 +2,7 @@
 
 use crate::export::coverage::Evidence;
 use crate::export::evaluate::{Patch, RunFiles};
+use crate::export::report::Report;
 use crate::export::run_folder::ground_heights;
 use crate::export::tum;
 use nalgebra::{Point3, Vector3};
@@ -37,9 +38,7 @@ pub enum RunError {
 ///
 /// When a file is missing that must not be, or one is not what it should be.
 pub fn load(folder: &Path) -> Result<RunFiles, RunError> {
-    let report = parsed(folder, "report.json", |text| {
-        serde_json::from_str(text).map_err(|error| error.to_string())
-    })?;
+    let report = parsed(folder, "report.json", report)?;
     let poses = |text: &str| tum::parse(text).map_err(|error| error.to_string());
     Ok(RunFiles {
         report: report.ok_or_else(|| missing(folder, "report.json"))?,
@@ -52,6 +51,37 @@ pub fn load(folder: &Path) -> Result<RunFiles, RunError> {
             serde_json::from_str(text).map_err(|error| error.to_string())
         })?
         .unwrap_or_default(),
+    })
+}
+
+/// The report of a mission, or what there is of one in that of `usar map`.
+fn report(text: &str) -> Result<Report, String> {
+    #[derive(Deserialize)]
+    struct OfMap {
+        scans: Vec<ScanOfMap>,
+        landmarks: usize,
+        associations: usize,
+    }
+    #[derive(Deserialize)]
+    struct ScanOfMap {
+        time_s: f64,
+    }
+    let is_of_map = serde_json::from_str::<serde_json::Value>(text)
+        .is_ok_and(|value| value.get("scenario").is_none() && value.get("scans").is_some());
+    if !is_of_map {
+        return serde_json::from_str(text).map_err(|error| {
+            format!("neither the report of a mission nor that of `usar map`: {error}")
+        });
+    }
+    let of_map: OfMap = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    let times = || of_map.scans.iter().map(|scan| scan.time_s);
+    Ok(Report {
+        scenario: Report::MAPPED.into(),
+        outcome: format!("{} scans", of_map.scans.len()),
+        mission_time_s: times().next_back().unwrap_or(0.0) - times().next().unwrap_or(0.0),
+        landmarks: of_map.landmarks,
+        associations: of_map.associations,
+        ..Report::default()
     })
 }
 

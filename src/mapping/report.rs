@@ -3,7 +3,7 @@ use nalgebra::{Isometry3, Matrix6, SymmetricEigen, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// What one scan did to pose and map.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct UpdateReport {
     /// Number of the keyframe that the scan became, counted from 0.
     pub keyframe: usize,
@@ -127,6 +127,13 @@ pub struct WeakDirection {
     /// Standard deviation in metres that the scan alone leaves along it; infinite where it says
     /// nothing.
     pub sigma_m: f64,
+}
+
+impl WeakDirection {
+    /// The axis that it has most of, in a word.
+    pub fn word(&self) -> &'static str {
+        ["forward", "left", "up", "roll", "pitch", "heading"][self.direction.iamax()]
+    }
 }
 
 /// A keyframe whose pose was corrected.

@@ -1,6 +1,7 @@
 //! Counts and times of a mission, for its report.
 
 use crate::acquisition::{Scan, TimeBudget};
+use crate::mapping::{UpdateReport, WeakDirection};
 use crate::time::Arrival;
 use serde::{Deserialize, Serialize};
 
@@ -54,6 +55,58 @@ pub struct SweepEntry {
     pub driven_m: Option<f64>,
 }
 
+/// A scan that left the robot's place open in some direction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WeakScan {
+    /// Number of the scan among those in the map, from 0.
+    pub scan: usize,
+    /// The directions, weakest first.
+    pub directions: Vec<WeakDirection>,
+}
+
+/// How well the scans fixed the robot's place.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Fixes {
+    /// Scans that met a map; the first of all has nothing to be compared with.
+    pub scans: usize,
+    /// Those of them that left a direction open.
+    pub weak: usize,
+    /// The last few of these.
+    pub last_weak: Vec<WeakScan>,
+    /// Explanations of all that was seen that are alive now.
+    pub hypotheses: usize,
+    /// Most that were alive at once.
+    pub most_hypotheses: usize,
+    /// Loops closed.
+    pub loops_closed: usize,
+    /// Times that another explanation became the best, which takes back what the one before had closed.
+    pub explanations_changed: usize,
+}
+
+/// Weak scans that are kept.
+const KEPT_WEAK: usize = 5;
+
+impl Fixes {
+    /// Books what a scan did to the map.
+    pub fn book(&mut self, update: &UpdateReport) {
+        self.hypotheses = update.hypotheses;
+        self.most_hypotheses = self.most_hypotheses.max(update.hypotheses);
+        self.loops_closed += usize::from(update.loop_closed);
+        self.explanations_changed += usize::from(update.loop_undone);
+        if update.keyframe == 0 {
+            return;
+        }
+        self.scans += 1;
+        if !update.weak_directions.is_empty() {
+            self.weak += 1;
+            let directions = update.weak_directions.clone();
+            self.last_weak.push(WeakScan { scan: update.keyframe, directions });
+            let surplus = self.last_weak.len().saturating_sub(KEPT_WEAK);
+            self.last_weak.drain(..surplus);
+        }
+    }
+}
+
 /// The running account of a mission.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
@@ -65,6 +118,8 @@ pub struct Ledger {
     pub surfaces: [usize; 3],
     /// Observations matched to a landmark.
     pub associations: usize,
+    /// How well the scans fixed the robot's place.
+    pub fixes: Fixes,
     /// Times the robot found itself in trouble.
     pub troubles: usize,
     last: Option<(Arrival, Pastime)>,
@@ -104,6 +159,27 @@ impl Ledger {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_last_scans_that_left_a_direction_open_are_kept() {
+        let mut fixes = Fixes::default();
+        let open = WeakDirection { direction: nalgebra::Vector6::x(), sigma_m: f64::INFINITY };
+        for keyframe in 0..20 {
+            let weak_directions = if keyframe % 2 == 0 { vec![open] } else { Vec::new() };
+            let hypotheses = if keyframe == 7 { 3 } else { 1 };
+            fixes.book(&UpdateReport {
+                keyframe,
+                weak_directions,
+                hypotheses,
+                ..UpdateReport::default()
+            });
+        }
+        // The first has nothing to be compared with, and all is open.
+        assert_eq!((fixes.scans, fixes.weak), (19, 9));
+        let scans: Vec<usize> = fixes.last_weak.iter().map(|weak| weak.scan).collect();
+        assert_eq!(scans, [10, 12, 14, 16, 18]);
+        assert_eq!((fixes.hypotheses, fixes.most_hypotheses), (1, 3));
+    }
 
     #[test]
     fn all_time_is_booked_once() {

@@ -42,7 +42,7 @@ pub use belief::{Belief, BeliefConfig, ScanFindings};
 pub use config::{AgentConfig, FineSweep, LookPolicy, MissionConfig};
 pub use event::{Action, Event, Outcome};
 pub use journal::{Journal, Level, Note};
-pub use ledger::{Ledger, Pastime, SweepEntry, TimeSplit};
+pub use ledger::{Fixes, Ledger, Pastime, SweepEntry, TimeSplit, WeakScan};
 pub use motion::{BodyAttitude, MotionTracker, PlanarPose};
 pub use opening::{Opening, OpeningConfig, OpeningStep, Placement};
 pub use operator::{DRIVE_LEASE, DriveLease, Mode, OperatorDecodeError, OperatorEvent};

@@ -114,6 +114,7 @@ impl Running {
             *sum += count;
         }
         self.ledger.associations += findings.update.associations.len();
+        self.ledger.fixes.book(&findings.update);
         desk.info(format!(
             "sweep seen: {} rows from {:+.1}° to {:+.1}°, {} planes",
             rows.len(),

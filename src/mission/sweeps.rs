@@ -77,6 +77,7 @@ impl Running {
         }
         self.ledger.associations +=
             findings.update.associations.len() + findings.update.curves_known;
+        self.ledger.fixes.book(&findings.update);
         let moved = (before.inverse() * after).translation.vector;
         let turned = before.rotation.angle_to(&after.rotation).to_degrees();
         desk.info(format!(

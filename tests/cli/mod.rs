@@ -382,11 +382,10 @@ fn the_ground_that_a_rig_can_see_is_printed() {
     assert!(said.contains("nearest ground") && said.contains("blind radius"), "{said}");
 }
 
-#[test]
-fn organised_scans_leave_a_grid_with_the_floor_free_and_the_wall_in_it() {
+/// A scan of a laser 0.6 m above a floor that ends at a wall so far ahead.
+fn before_a_wall(wall_m: f64) -> Vec<u8> {
     use usar_agent::files::pcd::{Encoding, write_pcd};
     use usar_agent::scan::PointGrid;
-    // A laser 0.6 m above a floor that ends at a wall 3 m ahead.
     let mut points = Vec::new();
     for row in 0..120 {
         let (down, level) = (-0.4 + 0.01 * f64::from(row)).sin_cos();
@@ -394,16 +393,21 @@ fn organised_scans_leave_a_grid_with_the_floor_free_and_the_wall_in_it() {
             let (left, ahead) = (-1.2 + 0.02 * f64::from(column)).sin_cos();
             let [x, y, z] = [ahead * level, left, -ahead * down];
             let floor = if z < -1e-3 { -0.6 / z } else { f64::INFINITY };
-            let wall = if x > 1e-3 { 3.0 / x } else { f64::INFINITY };
+            let wall = if x > 1e-3 { wall_m / x } else { f64::INFINITY };
             let range = floor.min(wall);
             let hit = range < 12.0;
             let p = [x, y, z].map(|v| if hit { (v * range) as f32 } else { f32::NAN });
             points.push(p);
         }
     }
+    write_pcd(&PointGrid::new(120, 121, points), Encoding::Binary)
+}
+
+#[test]
+fn organised_scans_leave_a_grid_with_the_floor_free_and_the_wall_in_it() {
     let folder = tempfile::tempdir().unwrap();
     let scan = folder.path().join("scan.pcd");
-    fs::write(&scan, write_pcd(&PointGrid::new(120, 121, points), Encoding::Binary)).unwrap();
+    fs::write(&scan, before_a_wall(3.0)).unwrap();
     let out = folder.path().join("map");
     let mapped = usar(&["map", text(&scan), "--out", text(&out)]);
     assert!(mapped.status.success(), "{}", stderr(&mapped));
@@ -424,4 +428,60 @@ fn organised_scans_leave_a_grid_with_the_floor_free_and_the_wall_in_it() {
     assert_eq!([grey(1.5, 0.0), grey(2.0, 0.7), grey(2.0, -0.7)], [254; 3], "the floor is free");
     let wall = |y: f64| (0..5).any(|i| grey(2.9 + 0.05 * f64::from(i), y) == 0);
     assert!(wall(0.0) && wall(0.8) && wall(-0.8), "the wall is there");
+}
+
+#[test]
+fn what_map_writes_is_scored_and_what_is_missing_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    for (name, wall_m) in [("a.pcd", 3.0), ("b.pcd", 2.7), ("c.pcd", 2.4)] {
+        fs::write(path(name), before_a_wall(wall_m)).unwrap();
+    }
+    let poses = |step_m: f64| -> String {
+        (0..3).map(|k| format!("{k} {} 0 0 0 0 0 1\n", step_m * f64::from(k))).collect()
+    };
+    fs::write(path("odometry.tum"), poses(0.28)).unwrap();
+    fs::write(path("truth.tum"), poses(0.3)).unwrap();
+    let [a, b, c] = ["a.pcd", "b.pcd", "c.pcd"].map(path);
+    let (odometry, truth, out) = (path("odometry.tum"), path("truth.tum"), path("map"));
+    let map = |mode: &str| {
+        let scans = ["map", text(&a), text(&b), text(&c), "--odometry", text(&odometry)];
+        let rest = ["--mode", mode, "--truth", text(&truth), "--out", text(&out)];
+        let mapped = usar(&[&scans[..], &rest].concat());
+        assert!(mapped.status.success(), "{}", stderr(&mapped));
+        String::from_utf8_lossy(&mapped.stdout).into_owned()
+    };
+    let eval = |more: &[&str]| {
+        let scored = usar(&[&["eval", text(&out), "--format", "json"], more].concat());
+        assert!(scored.status.success(), "{}", stderr(&scored));
+        let score: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
+        (score, stderr(&scored))
+    };
+
+    assert!(map("full").contains("NEES"));
+    let (score, said) = eval(&[]);
+    assert!(said.contains("--scenario"), "planes need the world: {said}");
+    assert!(score["ate"]["final_m"].as_f64().unwrap() < 0.005, "{score}");
+    assert_eq!(score["nees"]["keyframes"], 2);
+    assert_eq!(score["nees"]["truth_step_m"], 0.0, "round numbers, but exact");
+    assert_eq!(score["associations"]["wrong"], 0);
+    assert!(score["associations"]["right"].as_u64().unwrap() >= 6, "{score}");
+
+    // The paper's filter has no covariance of motions, and says so instead of a number.
+    assert!(map("mip").contains("no NEES"));
+    let (score, said) = eval(&[]);
+    assert!(said.contains("no NEES") && score["nees"].is_null(), "{said}");
+    let with_truth = score["ate"].clone();
+
+    fs::remove_file(out.join("truth.tum")).unwrap();
+    let (score, said) = eval(&[]);
+    assert!(said.contains("no truth.tum") && said.contains("--truth"), "{said}");
+    assert!(score["ate"].is_null());
+    let (score, _) = eval(&["--truth", text(&truth)]);
+    assert_eq!(score["ate"], with_truth);
+
+    fs::write(out.join("report.json"), "{}").unwrap();
+    fails_with(&["eval", text(&out)], &["report.json", "usar map"]);
+    fs::remove_file(out.join("report.json")).unwrap();
+    fails_with(&["eval", text(&out)], &["report.json", "not a run folder"]);
 }
