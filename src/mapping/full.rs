@@ -167,11 +167,17 @@ impl Full {
         let few = !estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS);
         let large = found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD);
         let place = prepared.len();
+        let more = |found: &Assignment| found.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
         let elsewhere = if few || upright_share(found, arrival.scan) < LOST_SHARE {
             estimate.elsewhere(arrival, &found.belief.world_from_robot)
         } else {
             Vec::new()
         };
+        let elsewhere: Vec<Prepared> = elsewhere
+            .iter()
+            .map(|world_from_robot| estimate.prepare_at(arrival, config, world_from_robot))
+            .filter(|there| there.assignments.iter().any(more))
+            .collect();
         let plainly = !few
             && !large
             && elsewhere.is_empty()
@@ -217,7 +223,7 @@ impl Full {
             pieces: 0.0,
         });
         prepared.push(plain);
-        let more = |claim: &Claim| claim.assignment.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
+        let more = |claim: &Claim| more(&claim.assignment);
         let before = claims.len();
         if few {
             let wide = estimate.prepare(arrival, config, WIDENING);
@@ -225,8 +231,7 @@ impl Full {
             prepared.push(wide);
         }
         if claims.len() == before {
-            for world_from_robot in &elsewhere {
-                let there = estimate.prepare_at(arrival, config, world_from_robot);
+            for there in elsewhere {
                 let options = options(&there, prepared.len(), LOG_LOST).into_iter().filter(more);
                 claims.extend(options.map(|claim| Claim { far: true, carried: true, ..claim }));
                 prepared.push(there);
