@@ -3,6 +3,7 @@
 //! The points are the same, but what they are seen from is not: regions end elsewhere, and walls, floors
 //! and pillars that are plane to a few millimetres give another plane for every other extent.
 
+use super::world::{rng, uniform};
 use crate::protocol::reference_data;
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3};
 use usar_agent::files::pcd::read_pcd;
@@ -62,30 +63,43 @@ fn moved(scan: &PointGrid, pose: &Isometry3<f64>, every: usize) -> Outcome {
     }
 }
 
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// Which regions a scan falls into changes with the least of moves, and with them the pairs: one move says
+/// little, many say much.
 #[test]
-fn a_real_scan_moved_by_a_known_transform_is_as_far_off_as_it_is_told() {
+fn a_real_scan_moved_by_known_transforms_is_as_far_off_as_it_is_told() {
     let Some(bytes) = reference_data("scans/kurt3d_000.pcd") else { return };
     let scan = read_pcd(&bytes).unwrap().into_grid().unwrap();
-    let pose = |x: f64, y: f64, yaw_deg: f64| {
-        Isometry3::new(Vector3::new(x, y, 0.0), Vector3::z() * yaw_deg.to_radians())
-    };
-    let poses =
-        [pose(0.1, 0.0, 0.0), pose(0.2, 0.0, 0.0), pose(0.3, 0.1, 5.0), pose(0.3, -0.4, -15.0)];
-    let mut sum = 0.0;
+    let mut random = rng(11);
+    let mut draw = |most: f64| most * (2.0 * uniform(&mut random) - 1.0);
     for every in [1, 2] {
-        for pose in &poses {
-            let Outcome { error_m, error_rad, nees, paired_share } = moved(&scan, pose, every);
-            println!(
-                "every {every}: {:.1} mm {:.3}°, NEES {nees:.1}, {paired_share:.2} paired",
-                1e3 * error_m,
-                error_rad.to_degrees()
-            );
-            assert!(error_m < 0.01 && error_rad < 0.003, "{error_m} m, {error_rad} rad");
-            assert!(paired_share > 0.35, "{paired_share}");
-            sum += nees;
-        }
+        let outcomes: Vec<Outcome> = (0..12)
+            .map(|_| {
+                let shift = Vector3::new(draw(0.4), draw(0.4), 0.0);
+                let pose = Isometry3::new(shift, Vector3::z() * draw(12.0).to_radians());
+                moved(&scan, &pose, every)
+            })
+            .collect();
+        let (error_m, error_rad) = (
+            median(outcomes.iter().map(|outcome| outcome.error_m)),
+            median(outcomes.iter().map(|outcome| outcome.error_rad)),
+        );
+        let nees = median(outcomes.iter().map(|outcome| outcome.nees));
+        let paired = median(outcomes.iter().map(|outcome| outcome.paired_share));
+        let told = outcomes.iter().filter(|outcome| outcome.nees < 20.0).count();
+        println!(
+            "every {every}: median {:.1} mm {:.3}°, NEES {nees:.1}, {told} of 12 below 20, {paired:.2} paired",
+            1e3 * error_m,
+            error_rad.to_degrees()
+        );
+        assert!(error_m < 0.01 && error_rad < 0.003, "{error_m} m, {error_rad} rad");
+        // 6 expected; told by the noise of the ranges alone it is at 80.
+        assert!(nees < 15.0 && told >= 7, "{nees}, {told} of 12");
+        assert!(paired > 0.35, "{paired}");
     }
-    // 6 expected; told by the noise of the ranges alone it is at 70.
-    let mean = sum / (2 * poses.len()) as f64;
-    assert!(mean < 15.0, "{mean}");
 }
