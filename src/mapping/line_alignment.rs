@@ -15,6 +15,8 @@ const APART_M: f64 = 0.1;
 const APART_SHARE: f64 = 0.15;
 /// Points farther from the line through their neighbours than this lie on no surface, in metres.
 const STRAIGHT_M: f64 = 0.03;
+/// Points of a line that are kept, evenly along it: rounds cost the product of two lines' points.
+const MOST_POINTS: usize = 240;
 /// How far a point may lie from its counterpart, in the first round and in the last, in metres.
 const REACH_M: (f64, f64) = (0.6, 0.12);
 const ROUNDS: usize = 14;
@@ -63,8 +65,10 @@ pub struct Alignment {
 impl LevelLine {
     /// From the ends of beams in order, in metres; `None` where a beam hit nothing.
     pub fn new(ends: &[Option<Point2<f64>>]) -> Self {
-        let points = (0..ends.len()).filter_map(|at| straight_at(ends, at));
-        Self { points: points.collect() }
+        let points: Vec<Straight> =
+            (0..ends.len()).filter_map(|at| straight_at(ends, at)).collect();
+        let stride = points.len().div_ceil(MOST_POINTS).max(1);
+        Self { points: points.into_iter().step_by(stride).collect() }
     }
 
     /// Number of points that lie on something straight.
