@@ -182,8 +182,8 @@ impl Blocks {
         common: &Common,
         (cells, rows): (usize, usize),
     ) -> Option<Unevenness> {
-        let blocks: Vec<(Matrix3<f64>, Vector3<f64>)> =
-            self.sums.iter().map(|sums| axes.equations(&sums.totals)).collect();
+        let blocks: [(Matrix3<f64>, Vector3<f64>); SIDE * SIDE] =
+            std::array::from_fn(|at| axes.equations(&self.sums[at].totals));
         let all: Matrix3<f64> = blocks.iter().map(|block| block.0).sum();
         let right: Vector3<f64> = blocks.iter().map(|block| block.1).sum();
         let root = (all + prior()).cholesky()?;
