@@ -71,16 +71,6 @@ impl LevelLine {
         Self { points: points.into_iter().step_by(stride).collect() }
     }
 
-    /// Number of points that lie on something straight.
-    pub fn len(&self) -> usize {
-        self.points.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.points.is_empty()
-    }
-
     /// Lays `second` over this line. `told` is the motion between them by odometry, `covariance` that of its
     /// (x, y, turn) in the frame of the first. `None` where too little fits, or only what odometry excludes.
     ///

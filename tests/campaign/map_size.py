@@ -15,7 +15,7 @@ import tempfile
 
 import numpy as np
 
-from registration import points
+from scans_io import points
 
 
 def octree(cloud, leaf_m=0.05):

@@ -15,6 +15,8 @@ import tempfile
 
 import numpy as np
 
+from scans_io import poses
+
 SEED, DRAWN = 5, 16
 NAMED = [(0.1, 0, 0), (0.2, 0, 0), (0.3, 0.1, 5), (0.5, 0, 10), (0.3, -0.4, -15), (1, 0, 0), (1, 0.2, 20)]
 
@@ -50,19 +52,6 @@ def tum(path, poses):
             out.write(f"{k} {p[0, 3]} {p[1, 3]} {p[2, 3]} 0 0 {np.sin(yaw)} {np.cos(yaw)}\n")
 
 
-def read_last(path):
-    line = [line for line in open(path) if line.strip() and not line.startswith("#")][-1]
-    _, x, y, z, qx, qy, qz, qw = map(float, line.split())
-    moved = np.eye(4)
-    moved[:3, :3] = [
-        [1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qz * qw), 2 * (qx * qz + qy * qw)],
-        [2 * (qx * qy + qz * qw), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qx * qw)],
-        [2 * (qx * qz - qy * qw), 2 * (qy * qz + qx * qw), 1 - 2 * (qx * qx + qy * qy)],
-    ]
-    moved[:3, 3] = x, y, z
-    return moved
-
-
 def trial(usar, folder, points, truth, told):
     inverse = np.linalg.inv(truth)
     scans = [os.path.join(folder, name) for name in ("a.pcd", "b.pcd")]
@@ -73,7 +62,7 @@ def trial(usar, folder, points, truth, told):
     subprocess.run([usar, "map", *scans, "--odometry", odometry, "--out", out, "-q"], check=True,
                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     scan = json.load(open(os.path.join(out, "report.json")))["scans"][1]
-    found = read_last(os.path.join(out, "trajectory.tum"))
+    found = poses(os.path.join(out, "trajectory.tum"))[-1]
     turn = truth[:3, :3] @ found[:3, :3].T
     spin = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
     error = np.concatenate([truth[:3, 3] - found[:3, 3], spin])

@@ -15,30 +15,7 @@ import time
 import numpy as np
 import small_gicp
 
-
-def poses(path):
-    out = []
-    for line in open(path):
-        if line.strip() and not line.startswith("#"):
-            _, x, y, z, qx, qy, qz, qw = map(float, line.split())
-            pose = np.eye(4)
-            pose[:3, :3] = [
-                [1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qz * qw), 2 * (qx * qz + qy * qw)],
-                [2 * (qx * qy + qz * qw), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qx * qw)],
-                [2 * (qx * qz - qy * qw), 2 * (qy * qz + qx * qw), 1 - 2 * (qx * qx + qy * qy)],
-            ]
-            pose[:3, 3] = x, y, z
-            out.append(pose)
-    return out
-
-
-def points(path):
-    raw = open(path, "rb").read()
-    head, body = raw.split(b"DATA binary\n", 1)
-    fields = dict(line.split(" ", 1) for line in head.decode().splitlines() if line[:1] not in "#")
-    count = int(fields["POINTS"])
-    cloud = np.frombuffer(body, "<f4", 3 * count).reshape(count, 3).astype(float)
-    return cloud[np.isfinite(cloud[:, 0])]
+from scans_io import points, poses
 
 
 def error(estimate, truth):

@@ -17,18 +17,7 @@ import tempfile
 import numpy as np
 import small_gicp
 
-from registration import points, poses
-
-
-def matrix(pose):
-    (x, y, z, w), out = pose["rotation"], np.eye(4)
-    out[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    out[:3, 3] = pose["translation"]
-    return out
+from scans_io import matrix, points, poses
 
 
 def truth_at(folder, times):
@@ -94,7 +83,8 @@ def main():
             flat = json.load(open(f"{work}/flat/compare2d.json"))["error_2d"]
         # The robot's way since the first scan, by the sensor's.
         truth = truth_at(run, times)
-        first = matrix(json.load(open(f"{run}/keyframes.json"))[0]["pose"])
+        first = json.load(open(f"{run}/keyframes.json"))[0]["pose"]
+        first = matrix(first["translation"], first["rotation"])
         robot_from_sensor = np.linalg.inv(first) @ reckoned[0]
         moved = np.linalg.inv(truth[0]) @ truth[-1]
         ends = []
