@@ -474,6 +474,33 @@ mod tests {
     }
 
     #[test]
+    fn blank_cells_are_ground_where_both_sides_lie_in_one_line() {
+        let class_of_blank = |slope: f64, rise_m: f64| {
+            let (mut terrain, pose) = level_terrain();
+            let blank = 12..14;
+            for (x, y) in (-16..30).flat_map(|x| (-16..16).map(move |y| (x, y))) {
+                let cell = CellIndex { x, y };
+                *terrain.lattice.ground_mut(cell) = surface::GroundCell::default();
+                let beyond_m = if x >= blank.end { rise_m } else { 0.0 };
+                if !blank.contains(&x) {
+                    terrain.lattice.ground_mut(cell).observe(&Observation {
+                        z_m: slope * 0.05 * f64::from(x) + beyond_m,
+                        sigma_m: 0.01,
+                        distance_m: 1.0,
+                        seen: Seen::Measured,
+                        scan: 1,
+                    });
+                }
+            }
+            terrain.project(&pose).get(CellIndex { x: 12, y: 0 }).class
+        };
+        assert_eq!(class_of_blank(0.0, 0.0), CellClass::Free);
+        assert_eq!(class_of_blank(0.3, 0.0), CellClass::Free);
+        assert_eq!(class_of_blank(0.0, 0.05), CellClass::Unknown);
+        assert_eq!(class_of_blank(0.0, -0.05), CellClass::Unknown);
+    }
+
+    #[test]
     fn ground_is_too_steep_but_under_the_robot_that_stands_on_it() {
         let (mut terrain, pose) = level_terrain();
         for x in -16..16 {

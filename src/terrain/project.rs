@@ -21,6 +21,11 @@ const ASSUMED_STEP_M: f64 = 0.15;
 const PASSED_BELOW_M: f64 = 0.15;
 /// How far from the level such a proof still belongs to its edge.
 const EDGE_REACH_M: f64 = 1.5;
+/// Ground on both sides of cells that nothing was read of lies in one line but for this: what is between is
+/// then taken to do so, too. A change of level in there may be the far side of a slit.
+const LEVEL_STRIDE_M: f64 = 0.025;
+/// Cells from which the line of the ground before a stride is told.
+const TREND_CELLS: isize = 3;
 /// An obstacle that reaches from here up hides the ground behind it.
 const OPAQUE_FROM_M: f64 = 0.30;
 /// Flat log-odds, in tenths, from which a cell counts as occupied or free in 2D mode.
@@ -309,7 +314,8 @@ impl<'a> Level<'a> {
     }
 
     /// Rolls across cells without any reading where they are fewer than the gap that a wheel rolls
-    /// over: nothing that could stop the robot fits in there, provided nothing was seen missing.
+    /// over and the ground goes on in line: nothing that could stop the robot fits in there, provided
+    /// nothing was seen missing.
     fn stride(
         &mut self,
         at: usize,
@@ -325,12 +331,16 @@ impl<'a> Level<'a> {
         for gap in 1..=widest {
             let Some(far) = self.beside(at, dx * (gap + 1), dy * (gap + 1)) else { return };
             let landing = if self.z_m[far].is_nan() {
-                self.surface_from(at, far, 1.0)
+                self.surface_from(at, far, 1.0).map(|(z_m, _)| z_m)
             } else {
-                let rise_m = f64::from(self.z_m[far] - self.z_m[at]).abs();
-                (rise_m <= self.terrain.shape.max_step_m).then(|| (self.z_m[far], self.seen[far]))
+                Some(self.z_m[far])
             };
-            if let Some((z_m, _)) = landing {
+            let trend_m = self.trend_m(at, -dx, -dy) * (gap + 1) as f32;
+            let in_line = |z_m: &f32| {
+                let rise_m = z_m - self.z_m[at];
+                f64::from(rise_m.abs().min((rise_m - trend_m).abs())) <= LEVEL_STRIDE_M
+            };
+            if let Some(z_m) = landing.filter(in_line) {
                 for inner in 1..=gap {
                     if let Some(between) = self.beside(at, dx * inner, dy * inner) {
                         let part = inner as f32 / (gap + 1) as f32;
@@ -344,6 +354,19 @@ impl<'a> Level<'a> {
                 return;
             }
         }
+    }
+
+    /// By how much the level's ground rises per cell on the way to a cell from those in a direction.
+    fn trend_m(&self, at: usize, dx: isize, dy: isize) -> f32 {
+        let mut trend_m = 0.0;
+        for cells in 1..=TREND_CELLS {
+            let Some(beside) = self.beside(at, dx * cells, dy * cells) else { break };
+            if self.z_m[beside].is_nan() {
+                break;
+            }
+            trend_m = (self.z_m[at] - self.z_m[beside]) / cells as f32;
+        }
+        trend_m
     }
 
     fn is_blank(&self, at: usize) -> bool {
