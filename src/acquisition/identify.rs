@@ -106,6 +106,7 @@ pub fn identify(
             .flat_map(|start| std::iter::once(start).chain(late(start)))
             .map(search)
             .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|found| again(found, &|x| case.cost(law_of(x), x[2], 1.0), delays))
             .map(|(x, cost)| (law_of(&x), x[2], cost))
     };
     let fits = [best(hinges, hinge_of), best(springs, spring_of)];
@@ -300,6 +301,27 @@ impl Residuals {
     }
 }
 
+/// Searches on from what a search found as long as that gains: a simplex that has collapsed on the way, as
+/// at the shortest delay, beyond which nothing changes, is spread out again.
+fn again(
+    mut found: ([f64; 3], f64),
+    cost: &impl Fn(&[f64; 3]) -> f64,
+    delays: (Span, Span),
+) -> ([f64; 3], f64) {
+    const TIMES: usize = 4;
+    const GAIN: f64 = 0.99;
+    for _ in 0..TIMES {
+        let [a, b, delay_s] = found.0;
+        let delay_s = delay_s.clamp(delays.0.seconds(), delays.1.seconds());
+        let next = minimise([a, b, delay_s], cost);
+        if next.1 >= GAIN * found.1 {
+            break;
+        }
+        found = next;
+    }
+    found
+}
+
 /// Nelder and Mead's simplex search in three unknowns, from `start` with steps suited to logarithms
 /// and to a delay in seconds. Returns the best point and its cost.
 fn minimise(start: [f64; 3], cost: impl Fn(&[f64; 3]) -> f64) -> ([f64; 3], f64) {
@@ -431,6 +453,14 @@ mod tests {
             let fit = identify(0.0, None, &commands, &readings, None, FROM_NOW).unwrap();
             assert!(fit.rms_rad < 4e-4, "{fit:?} for {frequency_rad_s} {damping}");
         }
+    }
+
+    #[test]
+    fn a_quick_spring_whose_search_collapses_at_no_delay_is_found() {
+        let law = ServoLaw::Spring { frequency_rad_s: 20.013_152_8, damping: 0.343_664_57 };
+        let (commands, readings) = observed(law, 0.010_593_96, 0.0);
+        let fit = identify(0.0, None, &commands, &readings, None, FROM_NOW).unwrap();
+        assert!(fit.rms_rad < 4e-4, "{fit:?}");
     }
 
     #[test]
