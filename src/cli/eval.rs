@@ -1,7 +1,6 @@
 //! `usar eval`: a run against the truth in it, or two runs side by side.
 
-use super::files::write_stdout;
-use super::mission::Format;
+use super::files::{Format, write_stdout};
 use super::say;
 use crate::driver::simulated::passability;
 use crate::export::coverage::Passability;

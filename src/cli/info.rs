@@ -1,7 +1,6 @@
 //! `usar info`: what a file holds.
 
-use super::files::write_stdout;
-use super::mission::Format;
+use super::files::{Format, write_stdout};
 use crate::acquisition::RecordedTriples;
 use crate::files::kind::{Kind, kind_of};
 use crate::files::pcd::read_pcd;

@@ -1,6 +1,6 @@
 //! `usar mission`: one mission headless, agents and simulator in lockstep.
 
-use super::files::{write_stderr, write_stdout};
+use super::files::{Format, write_stderr, write_stdout};
 use super::out::RunFolder;
 use super::say;
 use crate::driver::simulated::{MissionResult, SimulatedMission};
@@ -9,7 +9,7 @@ use crate::files::agent_config::Source;
 use crate::files::scenario::{self, LoadedScenario};
 use crate::mission::Level;
 use anyhow::Result;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -47,16 +47,6 @@ pub struct CommonArguments {
     /// Write into a folder that holds a recording already
     #[arg(long, help_heading = "Output")]
     pub force: bool,
-}
-
-/// Form of a summary.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum Format {
-    /// For people
-    #[default]
-    Text,
-    /// One JSON document
-    Json,
 }
 
 /// Where the time of all sweeps went, and what nods cost.

@@ -5,7 +5,7 @@ mod fig2;
 mod figures;
 mod table1;
 
-use super::files::write_stdout;
+use super::files::{Format, write_stdout};
 use super::out::RunFolder;
 use crate::export::canvas::Canvas;
 use crate::files::replace::replace_file;
@@ -29,7 +29,7 @@ enum What {
     /// Table I: localisation on three planes, with the paper's own odometry noise.
     Table1 {
         /// How to print it.
-        #[arg(long, value_enum, default_value_t = Format::Text)]
+        #[arg(long, value_enum, default_value_t)]
         format: Format,
         /// Folder for `table1.json` beside the printed table.
         #[arg(long)]
@@ -81,14 +81,6 @@ impl Flight {
         loaded.agent.mission.fine_sweep = FineSweep::Paper;
         Ok(loaded)
     }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Format {
-    /// For people.
-    Text,
-    /// For scripts.
-    Json,
 }
 
 /// Runs the verb.

@@ -1,7 +1,7 @@
 //! `usar segment`: one organised scan through segmentation and fitting.
 
+use super::files::{Format, parse_columns, read_scan, write_stdout};
 use crate::export::segment_images::write_stage_images;
-use crate::files::pcd::read_pcd;
 use crate::files::replace::replace_file;
 use crate::scan::PointGrid;
 use crate::segmentation::{
@@ -11,9 +11,8 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
-use std::io::{Read as _, Write as _};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -55,29 +54,12 @@ pub struct SegmentArguments {
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// A table for people
-    #[default]
-    Text,
-    /// The content of surfaces.json
-    Json,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 enum MethodArgument {
     /// Sticks grown to regions
     #[default]
     Sticks,
     /// The paper's chain
     Paper,
-}
-
-fn parse_columns(text: &str) -> Result<Range<usize>, String> {
-    let range = text.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
-    match range {
-        Some(range) if range.start < range.end => Ok(range),
-        _ => Err("expected A..B with A < B, for example 25..156".to_owned()),
-    }
 }
 
 /// Runs the verb.
@@ -130,25 +112,8 @@ pub fn run(arguments: &SegmentArguments) -> Result<ExitCode> {
         write_stage_images(folder, &segmenter, &grid)
             .with_context(|| format!("cannot write pictures to {}", folder.display()))?;
     }
-    match std::io::stdout().write_all(text.as_bytes()) {
-        // A reader that has seen enough closed the pipe: that is success.
-        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => {}
-        result => result.context("cannot write to standard output")?,
-    }
+    write_stdout(&text)?;
     Ok(ExitCode::SUCCESS)
-}
-
-fn read_scan(path: &Path) -> Result<PointGrid> {
-    let name = path.display();
-    let bytes = if path == Path::new("-") {
-        let mut bytes = Vec::new();
-        std::io::stdin().read_to_end(&mut bytes).map(|_| bytes)
-    } else {
-        std::fs::read(path)
-    };
-    let bytes = bytes.with_context(|| format!("cannot read {name}"))?;
-    let cloud = read_pcd(&bytes).with_context(|| format!("{name} is not a usable scan"))?;
-    cloud.into_grid().with_context(|| format!("{name} is not a usable scan"))
 }
 
 /// Median times in milliseconds, by stage, and their total.
