@@ -16,6 +16,7 @@ mod fill;
 mod grid;
 mod ground;
 mod lattice;
+mod level;
 mod project;
 mod rays;
 mod slit;
