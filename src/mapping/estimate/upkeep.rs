@@ -79,6 +79,12 @@ impl Estimate {
             self.redraw_extent(id);
         }
         self.draw_newest();
+        // While the scan was solved its pose may have gone far along what it leaves open.
+        for added in &report.added {
+            if self.has_slid(added.landmark) {
+                self.redraw_extent(added.landmark);
+            }
+        }
         self.extend_curves(report, &scan.curves);
         if let Some(covariance) = self.motion_covariance(number.saturating_sub(1), number) {
             self.keyframes[number].led = Led::by(&covariance);
