@@ -39,6 +39,11 @@ const LOST_SHARE: f64 = 0.25;
 /// Logarithm of how seldom a scan in the midst of a map shows nothing of it. Without it the pairs of a
 /// scan that shows three planes would be left out as often as noise makes all of them miss widely.
 const LOG_UNRECOGNISED: f64 = -5.0;
+/// Share of a scan's planes and of their area that is recognised from which on one explanation is taken as it
+/// comes, and share of its points that contradict the map beyond which none is: the motion may be worse than
+/// told.
+const KNOWN_SHARE: f64 = 0.6;
+const REFUTED_SHARE: f64 = 0.1;
 /// What one explanation must be behind by while nothing proves it: three scans' worth of a pair that
 /// fits by chance.
 const UNPROVEN: f64 = 9.0;
@@ -163,26 +168,26 @@ impl Full {
         let mut plain = estimate.prepare(arrival, config, 1.0);
         let found = &plain.assignments[0];
         let pairs = found.pairs.len();
-        let expected = arrival.scan.observations.len().min(config.anchors) / 3;
-        let few = !estimate.landmarks().is_empty() && pairs < expected.max(FEW_PAIRS);
+        let most = arrival.scan.observations.len().min(config.anchors);
+        let few = !estimate.landmarks().is_empty() && pairs < (most / 3).max(FEW_PAIRS);
         let large = found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD);
         let place = prepared.len();
-        let more = |found: &Assignment| found.pairs.len() >= (2 * pairs).max(FEW_PAIRS + 1);
-        let elsewhere = if few || upright_share(found, arrival.scan) < LOST_SHARE {
-            estimate.elsewhere(arrival, &found.belief.world_from_robot)
-        } else {
-            Vec::new()
+        let doubled = (2 * pairs).max(FEW_PAIRS + 1);
+        let guess = found.belief.world_from_robot;
+        let carried_to = |least: usize| -> Vec<Prepared> {
+            let places = estimate.elsewhere(arrival, &guess);
+            let there = places.iter().map(|place| estimate.prepare_at(arrival, config, place));
+            there.filter(|there| there.assignments.iter().any(|a| a.pairs.len() >= least)).collect()
         };
-        let elsewhere: Vec<Prepared> = elsewhere
-            .iter()
-            .map(|world_from_robot| estimate.prepare_at(arrival, config, world_from_robot))
-            .filter(|there| there.assignments.iter().any(more))
-            .collect();
+        let lost = few || upright_share(found, arrival.scan) < LOST_SHARE;
+        let mut elsewhere = if lost { carried_to(doubled) } else { Vec::new() };
         let plainly = !few
             && !large
             && elsewhere.is_empty()
             && plain.assignments.len() == 1
-            && self.hypotheses.len() == 1;
+            && self.hypotheses.len() == 1
+            && pairs as f64 >= KNOWN_SHARE * most as f64
+            && recognised_share(found, arrival.scan) >= KNOWN_SHARE;
         if plainly {
             let assignment = found.clone();
             branches.push(Branch {
@@ -223,21 +228,31 @@ impl Full {
             pieces: 0.0,
         });
         prepared.push(plain);
-        let more = |claim: &Claim| more(&claim.assignment);
-        let before = claims.len();
-        if few {
+        let known = claims.len();
+        let mut judged = judge(claims.clone(), estimate, prepared, arrival.scan);
+        let best = judged.iter().max_by(|a, b| a.score.total_cmp(&b.score));
+        let stands = best.is_some_and(|best| best.score >= 0.0 && best.refuted <= REFUTED_SHARE);
+        // Pairs that the map speaks against are no measure of what another place must show.
+        let least = if few || stands { doubled } else { FEW_PAIRS + 1 };
+        let more = |claim: &Claim| claim.assignment.pairs.len() >= least;
+        if few || !stands {
             let wide = estimate.prepare(arrival, config, WIDENING);
             claims.extend(options(&wide, prepared.len(), LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
         }
-        if claims.len() == before {
+        if claims.len() == known {
+            if !stands && !lost {
+                elsewhere = carried_to(least);
+            }
             for there in elsewhere {
                 let options = options(&there, prepared.len(), LOG_LOST).into_iter().filter(more);
                 claims.extend(options.map(|claim| Claim { far: true, carried: true, ..claim }));
                 prepared.push(there);
             }
         }
-        let judged = judge(claims, estimate, prepared, arrival.scan);
+        if claims.len() > known {
+            judged = judge(claims, estimate, prepared, arrival.scan);
+        }
         branches.extend(judged.into_iter().map(|judged| Branch {
             parent,
             prepared: judged.prepared,
@@ -387,6 +402,7 @@ fn weight_of(contradicting_share: f64) -> f64 {
 }
 
 /// An explanation of a scan before it is judged.
+#[derive(Clone)]
 struct Claim {
     /// Position of what was prepared.
     prepared: usize,
@@ -488,16 +504,22 @@ fn upright_share(assignment: &Assignment, scan: &ScanObservations) -> f64 {
     if whole > 0.0 { recognised / whole } else { 1.0 }
 }
 
+/// Share of a scan's area that an assignment recognises.
+fn recognised_share(assignment: &Assignment, scan: &ScanObservations) -> f64 {
+    let area = |observation: usize| scan.observations[observation].area_m2();
+    let whole: f64 = (0..scan.observations.len()).map(area).sum();
+    let recognised: f64 = assignment.pairs.iter().map(|pair| area(pair.0)).sum();
+    if whole > 0.0 { recognised / whole } else { 1.0 }
+}
+
 /// Whether an assignment recognises most of what a scan shows, in planes that fix all directions.
 fn proven(assignment: &Assignment, scan: &ScanObservations) -> bool {
-    let area = |observation: usize| scan.observations[observation].area_m2();
-    let recognised: f64 = assignment.pairs.iter().map(|pair| area(pair.0)).sum();
-    let whole: f64 = (0..scan.observations.len()).map(area).sum();
     let spread: Matrix3<f64> = assignment
         .pairs
         .iter()
         .map(|pair| scan.observations[pair.0].normal())
         .map(|normal| normal * normal.transpose())
         .sum();
-    recognised > PROVEN_AREA_SHARE * whole && spread.symmetric_eigenvalues().min() > PROVEN_SPREAD
+    recognised_share(assignment, scan) > PROVEN_AREA_SHARE
+        && spread.symmetric_eigenvalues().min() > PROVEN_SPREAD
 }

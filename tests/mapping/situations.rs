@@ -105,6 +105,27 @@ fn odometry_that_errs_by_0_3_m_a_step_is_corrected_when_it_says_so() {
     assert_eq!(wrong, 0);
 }
 
+/// Ten times what the noise model says, and nobody says so: the map tells, as long as it has been seen.
+#[test]
+fn odometry_that_errs_by_0_3_m_a_step_without_saying_so_is_found_out() {
+    let world = furnished_room();
+    let mut astray = Vec::new();
+    for seed in 0..20 {
+        let mut drive = Drive::begin(&world, config(), Isometry3::identity(), 300 + seed);
+        for k in 0..8 {
+            let (sin, cos) = (2.4 * (k + 3 * seed) as f64).sin_cos();
+            let turn_deg = if k % 2 == 0 { 3.0 } else { -3.0 };
+            drive.slide(&step(0.5, 0.0, 8.0), &shift(0.3 * cos, 0.3 * sin, turn_deg));
+            drive.look();
+        }
+        let (metres, radians) = drive.error();
+        if metres > 0.02 || radians > 0.004 {
+            astray.push((seed, metres));
+        }
+    }
+    assert!(astray.len() <= 1, "{astray:?}");
+}
+
 /// A partition 10 cm thick with a doorway, seen first from one side and then from the other.
 #[test]
 fn two_faces_of_a_thin_wall_stay_two_landmarks() {
