@@ -6,6 +6,7 @@
 
 use super::belief::Belief;
 use super::lines::Passing;
+use crate::geometry::wrap_pi;
 use crate::mapping::line_alignment::{Alignment, LevelLine};
 use crate::mapping::{Motion, MotionSource};
 use crate::scan::{LaserLine, Return};
@@ -30,6 +31,9 @@ const MOST_KEYS: usize = 80;
 /// What a robot is off by beside a key line at most, however long its way since: it was corrected on it.
 const MOST_M: f64 = 0.3;
 const MOST_RAD: f64 = 0.15;
+/// Gate on the squared Mahalanobis distance of an alignment from what was reckoned: 99.9 % of χ² with three
+/// degrees of freedom.
+const GATE: f64 = 16.266;
 /// By how much the time at which rays were cast is unknown, in seconds: a robot under way is elsewhere by
 /// then.
 const LATE_S: f64 = 0.05;
@@ -130,7 +134,15 @@ impl Belief {
                 let told = planar(&reckoned);
                 let alignment = key.line.align(line, &told, &level_part(&covariance))?;
                 // Height, roll and pitch stay as they were reckoned.
-                let turn = alignment.first_from_second.rotation.angle() - told.rotation.angle();
+                let turn =
+                    wrap_pi(alignment.first_from_second.rotation.angle() - told.rotation.angle());
+                let gap = alignment.first_from_second.translation.vector - told.translation.vector;
+                let gap = Vector3::new(gap.x, gap.y, turn);
+                let expected = level_part(&covariance) + alignment.covariance;
+                if gap.dot(&expected.cholesky()?.solve(&gap)) > GATE {
+                    // Lines that fit elsewhere are of something else: shelves look alike.
+                    return None;
+                }
                 let turned = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
                 let shift = alignment.first_from_second.translation.vector;
                 let place = Translation3::new(shift.x, shift.y, reckoned.translation.z);
