@@ -67,6 +67,10 @@ pub struct MotionTracker {
     drift: LevelDrift,
     wheel_leaps: Leaps<PlanarPose>,
     attitude_leaps: Leaps<BodyAttitude>,
+    /// Readings of the wheels since an attitude was read, and how far they turned meanwhile.
+    silent: u32,
+    unheard_rad: f64,
+    grip: Grip,
     way: InertialWay,
     /// The increments so far put together, and whether an inertial unit had a part in the last.
     reckoned: Isometry3<f64>,
@@ -77,8 +81,47 @@ pub struct MotionTracker {
 /// lean or turn by more.
 const LEAP_M: f64 = 2.0;
 const LEAP_RAD: f64 = 1.0;
+/// Readings of the wheels after which an inertial unit that says nothing more knows nothing of turns.
+const SILENT: u32 = 12;
 /// Over more than this no readings are lost: the wheels are counted from elsewhere.
 const RESTARTED_M: f64 = 20.0;
+
+/// How much of the turns that the wheels count the robot makes, as long as an inertial unit tells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Grip {
+    by_wheels_rad: f64,
+    told_rad: f64,
+}
+
+impl Grip {
+    /// Turns by the wheels that must have been seen, and those of which half is forgotten, in radians.
+    const PROOF_RAD: f64 = 1.5;
+    const LONG_RAD: f64 = 20.0;
+    /// Least turn of one increment that says anything, in radians.
+    const TURNING_RAD: f64 = 0.01;
+    /// Shares that are believed.
+    const LEAST: f64 = 0.2;
+    const MOST: f64 = 1.5;
+
+    fn learn(&mut self, by_wheels_rad: f64, told_rad: f64) {
+        if by_wheels_rad.abs() < Self::TURNING_RAD {
+            return;
+        }
+        if self.by_wheels_rad > Self::LONG_RAD {
+            self.by_wheels_rad *= 0.5;
+            self.told_rad *= 0.5;
+        }
+        self.by_wheels_rad += by_wheels_rad.abs();
+        self.told_rad += told_rad * by_wheels_rad.signum();
+    }
+
+    fn share(&self) -> f64 {
+        if self.by_wheels_rad < Self::PROOF_RAD {
+            return 1.0;
+        }
+        (self.told_rad / self.by_wheels_rad).clamp(Self::LEAST, Self::MOST)
+    }
+}
 
 impl MotionTracker {
     /// Takes in an attitude reading.
@@ -91,6 +134,7 @@ impl MotionTracker {
         if self.attitude_leaps.believes(self.attitude.as_ref(), &attitude, is_near) {
             self.drift.note(attitude);
             self.attitude = Some(attitude);
+            (self.silent, self.unheard_rad) = (0, 0.0);
         }
     }
 
@@ -99,7 +143,8 @@ impl MotionTracker {
         self.way.place(place);
     }
 
-    /// The last attitude read, without what the unit is known to be off by.
+    /// The last attitude read, without what the unit is known to be off by; `None` of a unit that has fallen
+    /// silent.
     pub fn last_attitude(&self) -> Option<BodyAttitude> {
         self.attitude.map(|read| self.drift.corrected(&read))
     }
@@ -145,18 +190,32 @@ impl MotionTracker {
         let before = before.filter(|before| apart_m(before, &wheels) <= RESTARTED_M);
         let attitude_before = std::mem::replace(&mut self.attitude_at_wheels, self.attitude);
         let before = before?;
-        let wheel_turn = wrap_pi(wheels.heading_rad - before.heading_rad);
+        let mut wheel_turn = wrap_pi(wheels.heading_rad - before.heading_rad);
         // The chord of the arc the wheels drove, seen from half way through the turn.
         let (sin, cos) = (before.heading_rad + 0.5 * wheel_turn).sin_cos();
         let (dx, dy) = (wheels.x_m - before.x_m, wheels.y_m - before.y_m);
         let (along, across) = (cos * dx + sin * dy, cos * dy - sin * dx);
+        self.silent = self.silent.saturating_add(1);
+        let mut attitude_before = attitude_before;
+        if self.silent <= SILENT {
+            // What the first one tells was told by the attitude before it.
+            self.unheard_rad += if self.silent > 1 { wheel_turn } else { 0.0 };
+        } else if self.attitude.take().is_some() {
+            // Lost: what was taken for standing was turning that nobody told.
+            wheel_turn += std::mem::take(&mut self.unheard_rad);
+            (self.attitude_at_wheels, attitude_before) = (None, None);
+        }
         let (turn, level_before, level_after, source) = match (attitude_before, self.attitude) {
             (Some(a), Some(b)) => {
                 let [a, b] = [a, b].map(|read| self.drift.corrected(&read));
                 let (before, after) = ((a.roll_rad, a.pitch_rad), (b.roll_rad, b.pitch_rad));
-                (wrap_pi(b.heading_rad - a.heading_rad), before, after, MotionSource::InertialTurn)
+                let turn = wrap_pi(b.heading_rad - a.heading_rad);
+                if self.silent == 1 {
+                    self.grip.learn(wheel_turn, turn);
+                }
+                (turn, before, after, MotionSource::InertialTurn)
             }
-            _ => (wheel_turn, (0.0, 0.0), (0.0, 0.0), MotionSource::Wheels),
+            _ => (wheel_turn * self.grip.share(), (0.0, 0.0), (0.0, 0.0), MotionSource::Wheels),
         };
         let (sin, cos) = (0.5 * turn).sin_cos();
         let mut increment = tilted_increment(
@@ -224,6 +283,50 @@ mod tests {
     }
 
     #[test]
+    fn a_unit_that_falls_silent_leaves_turns_to_the_wheels_and_comes_back() {
+        let mut tracker = MotionTracker::default();
+        let mut turned_rad = 0.0;
+        for step in 0..90 {
+            let heading_rad = 0.05 * f64::from(step);
+            // It is lost after the tenth reading, and back, counted from elsewhere, after the sixtieth.
+            if !(10..60).contains(&step) {
+                let from_rad = if step < 10 { 0.0 } else { 2.0 };
+                let heading_rad = wrap_pi(from_rad + heading_rad);
+                tracker.attitude(BodyAttitude { heading_rad, pitch_rad: 0.1, roll_rad: 0.0 });
+            }
+            assert_eq!(tracker.last_attitude().is_some(), !(22..60).contains(&step), "{step}");
+            let wheels = pose(0.0, 0.0, wrap_pi(heading_rad));
+            if let Some((increment, _)) = tracker.wheels(wheels) {
+                turned_rad += increment.rotation.euler_angles().2;
+            }
+        }
+        assert!((turned_rad - 0.05 * 89.0).abs() < 0.02, "{turned_rad}");
+    }
+
+    #[test]
+    fn wheels_that_turn_more_than_the_robot_are_found_out_while_a_unit_tells() {
+        let mut tracker = MotionTracker::default();
+        let (mut turned_rad, mut lost_rad) = (0.0, 0.0);
+        for step in 0..120 {
+            let heading_rad = 0.03 * f64::from(step);
+            if step < 80 {
+                tracker.attitude(BodyAttitude { heading_rad, ..BodyAttitude::default() });
+            }
+            let Some((increment, source)) =
+                tracker.wheels(pose(0.0, 0.0, wrap_pi(heading_rad / 0.6)))
+            else {
+                continue;
+            };
+            turned_rad += increment.rotation.euler_angles().2;
+            if source == MotionSource::Wheels {
+                lost_rad += increment.rotation.euler_angles().2;
+            }
+        }
+        assert!(lost_rad > 0.5, "{lost_rad}");
+        assert!((turned_rad - 0.03 * 119.0).abs() < 0.03, "{turned_rad}");
+    }
+
+    #[test]
     fn an_inertial_units_places_overrule_slipping_wheels() {
         let mut tracker = MotionTracker::default();
         let mut world = Isometry3::identity();
@@ -237,6 +340,7 @@ mod tests {
             let way_m = 0.04 * f64::from(step);
             let cut = |metres: f64| (100.0 * metres).round() / 100.0;
             let (sin, cos) = 0.8_f64.sin_cos();
+            tracker.attitude(heading);
             tracker.place(InertialPlace::new(cut(3.0 + way_m * cos), cut(way_m * sin), 0.4));
             if let Some((increment, source)) = tracker.wheels(pose(1.2 * way_m, 0.0, 0.0)) {
                 world *= increment;
