@@ -44,6 +44,8 @@ const LOG_UNRECOGNISED: f64 = -5.0;
 /// told.
 const KNOWN_SHARE: f64 = 0.6;
 const REFUTED_SHARE: f64 = 0.1;
+/// Standard deviation of a motion over the ground from which on nobody has measured it.
+const OPEN_M: f64 = 0.25;
 /// What one explanation must be behind by while nothing proves it: three scans' worth of a pair that
 /// fits by chance.
 const UNPROVEN: f64 = 9.0;
@@ -239,6 +241,15 @@ impl Full {
             let wide = estimate.prepare(arrival, config, WIDENING);
             claims.extend(options(&wide, prepared.len(), LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
+        }
+        // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
+        let is_open = (0..2).any(|i| arrival.motion_covariance[(i, i)] > OPEN_M * OPEN_M);
+        if is_open {
+            for (world_from_robot, log_prior) in estimate.within_reach(arrival) {
+                let there = estimate.prepare_at(arrival, config, &world_from_robot);
+                claims.extend(options(&there, prepared.len(), log_prior));
+                prepared.push(there);
+            }
         }
         if claims.len() == known {
             if !stands && !lost {

@@ -9,7 +9,7 @@ use crate::mapping::belief::Belief;
 use crate::mapping::graph::{Key, scaled_errors};
 use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::odometry::predicted_covariance;
-use crate::mapping::perturbation::{first_jacobian, second_jacobian};
+use crate::mapping::perturbation::{first_jacobian, pose_error, second_jacobian};
 use crate::mapping::recognise::recognise;
 use crate::mapping::scan_errors::{ScanObservations, common_error_jacobian};
 use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
@@ -25,6 +25,9 @@ const ABOUT_RAD: f64 = 0.03;
 const UP_M: f64 = 0.03;
 const ANYWHERE_M: f64 = 10.0;
 const ANYWHERE_RAD: f64 = 1.0;
+/// Squared Mahalanobis distance within which a motion may have gone: 99.9 % of χ² with three degrees of
+/// freedom.
+const REACH: f64 = 16.266;
 /// A place this near to another is the same.
 const APART_M: f64 = 0.3;
 const APART_RAD: f64 = 0.1;
@@ -96,6 +99,24 @@ impl Estimate {
         let found = recognise(&arrival.scan.observations, &self.landmarks, world_from_robot);
         let places = found.into_iter().map(|found| found.world_from_robot);
         places.filter(|place| moves_apart(place, world_from_robot)).collect()
+    }
+
+    /// The places where the scan fits the map within what the motion leaves open, with how seldom it goes so
+    /// far: the logarithm beside where it most likely went.
+    pub(in crate::mapping) fn within_reach(
+        &self,
+        arrival: &Arrival<'_>,
+    ) -> Vec<(Isometry3<f64>, f64)> {
+        let before = self.last_pose();
+        let predicted = before * arrival.motion;
+        let spread = arrival.motion_covariance.diagonal();
+        let found = recognise(&arrival.scan.observations, &self.landmarks, &predicted);
+        let places = found.into_iter().filter_map(|found| {
+            let gap = pose_error(&arrival.motion, &(before.inverse() * found.world_from_robot));
+            let square: f64 = [0, 1, 5].map(|i| gap[i] * gap[i] / spread[i]).iter().sum();
+            (square < REACH).then_some((found.world_from_robot, -0.5 * square))
+        });
+        places.collect()
     }
 
     /// [`prepare`](Self::prepare) for a scan that was recognised at a place: what odometry says of the way
