@@ -2,6 +2,7 @@
 //! the data allow several.
 
 use super::association::{Assignment, AssociationConfig};
+use super::claims::{Claim, TOLERATED_SHARE, UNPROVEN, judge, recognised_share, upright_share};
 use super::curved::CurvedLandmark;
 use super::estimate::{Arrival, Attitude, Estimate, Prepared};
 use super::graph::GraphConfig;
@@ -32,8 +33,6 @@ const FEW_PAIRS: usize = 3;
 const LOG_SELDOM: f64 = -7.0;
 /// The same for a motion that tells nothing: a robot lifted and set down elsewhere, wheels that ran free.
 const LOG_LOST: f64 = -14.0;
-/// Rise of a normal, seen by the robot, above which a plane is level.
-const LEVEL: f64 = 0.8;
 /// Share of a scan's upright area below which it may have been made elsewhere altogether.
 const LOST_SHARE: f64 = 0.25;
 /// Logarithm of how seldom a scan in the midst of a map shows nothing of it. Without it the pairs of a
@@ -46,14 +45,6 @@ const KNOWN_SHARE: f64 = 0.6;
 const REFUTED_SHARE: f64 = 0.1;
 /// Standard deviation of a motion over the ground from which on nobody has measured it.
 const OPEN_M: f64 = 0.25;
-/// What one explanation must be behind by while nothing proves it: three scans' worth of a pair that
-/// fits by chance.
-const UNPROVEN: f64 = 9.0;
-/// Logarithm of how much one contradicting point in a hundred speaks against a pose, beyond the few
-/// that doors, people and masks account for, and the most that contradictions may say.
-const AGAINST_PER_CENT: f64 = 3.0;
-const TOLERATED_SHARE: f64 = 0.02;
-const MOST_AGAINST: f64 = 100.0;
 /// Corrections that are looked at twice, whatever the odometry's noise allows, and how many pairs
 /// fewer another explanation may then have.
 const LARGE_M: f64 = 0.1;
@@ -64,11 +55,6 @@ const SLACK: usize = 2;
 /// Corrections that need proof.
 const FAR_M: f64 = 0.8;
 const FAR_RAD: f64 = 0.35;
-/// Share of a scan's area that must be recognised before it may move the robot beyond what odometry
-/// allows.
-const PROVEN_AREA_SHARE: f64 = 0.6;
-/// Least eigenvalue of the sum of `n nᵀ` over the recognised normals that fixes a place.
-const PROVEN_SPREAD: f64 = 0.4;
 /// An explanation behind the best by this much is dropped.
 const DEAD: f64 = 15.0;
 /// Most explanations that are carried, and scans that one may be carried without becoming the best.
@@ -406,91 +392,6 @@ fn moves_far(a: &Isometry3<f64>, b: &Isometry3<f64>, far_m: f64, far_rad: f64) -
     gap.fixed_rows::<3>(0).norm() > far_m || gap.fixed_rows::<3>(3).norm() > far_rad
 }
 
-/// Logarithm of how much a share of contradicting points speaks against a pose.
-fn weight_of(contradicting_share: f64) -> f64 {
-    let excess = (contradicting_share - TOLERATED_SHARE).max(0.0);
-    (100.0 * AGAINST_PER_CENT * excess).min(MOST_AGAINST)
-}
-
-/// An explanation of a scan before it is judged.
-#[derive(Clone)]
-struct Claim {
-    /// Position of what was prepared.
-    prepared: usize,
-    assignment: Assignment,
-    /// Logarithm of its prior.
-    log_prior: f64,
-    /// Whether it moves the robot far beside what it takes for seen.
-    far: bool,
-    /// Whether it has the robot carried there, against all odometry.
-    carried: bool,
-    /// See [`Estimate::left_out`].
-    left_out: Vec<(usize, LandmarkId)>,
-    /// See [`Estimate::pieces`].
-    pieces: f64,
-}
-
-/// An explanation with what the map says of it.
-struct Judged {
-    prepared: usize,
-    assignment: Assignment,
-    score: f64,
-    /// Share of the scan's points that contradict the map.
-    refuted: f64,
-    far: bool,
-    carried: bool,
-}
-
-/// Scores of explanations with what the map says against them, and without a lead for what is far from
-/// the prediction and unproven.
-fn judge(
-    claims: Vec<Claim>,
-    estimate: &Estimate,
-    options: &[Prepared],
-    scan: &ScanObservations,
-) -> Vec<Judged> {
-    let mut judged: Vec<Judged> = claims
-        .into_iter()
-        .map(|Claim { prepared, assignment, log_prior, far, carried, left_out, pieces }| {
-            let option = &options[prepared];
-            let against = estimate.contradiction(scan, option, &assignment, &left_out);
-            let refuted = against.share();
-            let score = assignment.support + pieces + log_prior + against.footing + against.doubled
-                - weight_of(refuted);
-            Judged { prepared, assignment, score, refuted, far, carried }
-        })
-        .collect();
-    let near = judged.iter().filter(|option| !option.far);
-    let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
-    let near = near.expect("the prediction itself is among the explanations");
-    let (near_score, near_refuted) = (near.score, near.refuted);
-    let near_is_wrong = |refuted: f64| near_refuted > refuted + TOLERATED_SHARE;
-    // A room like another proves nothing: odometry must be wrong before a robot was carried.
-    judged.retain(|option| !option.carried || near_is_wrong(option.refuted));
-    let far_places = judged.iter().filter(|option| option.far).count();
-    for option in &mut judged {
-        // What lies far from the prediction needs more than a good fit: worlds repeat themselves.
-        let proven = !option.far
-            || (far_places == 1
-                && option.refuted < TOLERATED_SHARE
-                && near_is_wrong(option.refuted)
-                && proven(&option.assignment, scan));
-        if !proven {
-            option.score = option.score.min(near_score - UNPROVEN);
-        }
-        tracing::debug!(
-            pairs = option.assignment.pairs.len(),
-            score = option.score,
-            refuted = option.refuted,
-            far = option.far,
-            carried = option.carried,
-            proven,
-            "explanation of a scan"
-        );
-    }
-    judged
-}
-
 /// Explanations that have the robot carried elsewhere stay behind those that follow odometry until what
 /// is seen contradicts them: in a row of like rooms the old ones are recognised scan after scan.
 fn hold_back(branches: &mut [Branch]) {
@@ -502,35 +403,4 @@ fn hold_back(branches: &mut [Branch]) {
             branch.log_weight = branch.log_weight.min(log_weight - UNPROVEN);
         }
     }
-}
-
-/// Share of a scan's upright area that an assignment recognises: floors and ceilings look alike anywhere.
-fn upright_share(assignment: &Assignment, scan: &ScanObservations) -> f64 {
-    let upright_m2 = |observation: usize| {
-        let seen = &scan.observations[observation];
-        if seen.normal().z.abs() < LEVEL { seen.area_m2() } else { 0.0 }
-    };
-    let recognised: f64 = assignment.pairs.iter().map(|pair| upright_m2(pair.0)).sum();
-    let whole: f64 = (0..scan.observations.len()).map(upright_m2).sum();
-    if whole > 0.0 { recognised / whole } else { 1.0 }
-}
-
-/// Share of a scan's area that an assignment recognises.
-fn recognised_share(assignment: &Assignment, scan: &ScanObservations) -> f64 {
-    let area = |observation: usize| scan.observations[observation].area_m2();
-    let whole: f64 = (0..scan.observations.len()).map(area).sum();
-    let recognised: f64 = assignment.pairs.iter().map(|pair| area(pair.0)).sum();
-    if whole > 0.0 { recognised / whole } else { 1.0 }
-}
-
-/// Whether an assignment recognises most of what a scan shows, in planes that fix all directions.
-fn proven(assignment: &Assignment, scan: &ScanObservations) -> bool {
-    let spread: Matrix3<f64> = assignment
-        .pairs
-        .iter()
-        .map(|pair| scan.observations[pair.0].normal())
-        .map(|normal| normal * normal.transpose())
-        .sum();
-    recognised_share(assignment, scan) > PROVEN_AREA_SHARE
-        && spread.symmetric_eigenvalues().min() > PROVEN_SPREAD
 }

@@ -13,6 +13,7 @@ mod anchor;
 mod association;
 mod attitude;
 mod belief;
+mod claims;
 mod curved;
 mod estimate;
 pub mod full;

@@ -50,7 +50,8 @@ pub(super) struct Recognised {
 }
 
 /// The places where a scan fits the map, the best first. Of `predicted` only roll, pitch and, where no
-/// floor tells it, the height are believed.
+/// floor tells it, the height are believed; `reachable` tells of a place over the ground, x, y and the turn
+/// after `predicted`, whether the robot can be there.
 ///
 /// Costs about `n²/64` votes for each pair of [`VOTERS`] in a map of n upright landmarks; asked only
 /// when a scan is not recognised where it should be.
@@ -58,6 +59,7 @@ pub(super) fn recognise(
     scan: &[Observation],
     landmarks: &[Landmark],
     predicted: &Isometry3<f64>,
+    reachable: impl Fn(&Vector2<f64>, f64) -> bool,
 ) -> Vec<Recognised> {
     let seen = Planes::of_scan(scan, &predicted.rotation);
     let map = Planes::of_map(landmarks);
@@ -69,6 +71,9 @@ pub(super) fn recognise(
                 continue;
             }
             map.places(a, b, |place| {
+                if !reachable(&place.at, wrap_pi(place.turn_rad)) {
+                    return;
+                }
                 let weight = (a.area_m2.min(b.area_m2)).sqrt();
                 let key = place.cell();
                 votes.entry(key).or_insert((0.0, place)).0 += weight;

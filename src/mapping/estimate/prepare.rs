@@ -9,10 +9,10 @@ use crate::mapping::belief::Belief;
 use crate::mapping::graph::{Key, scaled_errors};
 use crate::mapping::landmark::{Landmark, LandmarkId};
 use crate::mapping::odometry::predicted_covariance;
-use crate::mapping::perturbation::{first_jacobian, pose_error, second_jacobian};
+use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::recognise::recognise;
 use crate::mapping::scan_errors::{ScanObservations, common_error_jacobian};
-use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3x4, Matrix6, Vector6};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3x4, Matrix6, Vector2, Vector6};
 
 /// Part of the widening of a motion over the ground that its height, roll and pitch are widened by:
 /// stuck wheels and pushes move a robot over the ground, they do not lift it off.
@@ -96,7 +96,8 @@ impl Estimate {
         arrival: &Arrival<'_>,
         world_from_robot: &Isometry3<f64>,
     ) -> Vec<Isometry3<f64>> {
-        let found = recognise(&arrival.scan.observations, &self.landmarks, world_from_robot);
+        let found =
+            recognise(&arrival.scan.observations, &self.landmarks, world_from_robot, |_, _| true);
         let places = found.into_iter().map(|found| found.world_from_robot);
         places.filter(|place| moves_apart(place, world_from_robot)).collect()
     }
@@ -109,14 +110,23 @@ impl Estimate {
     ) -> Vec<(Isometry3<f64>, f64)> {
         let before = self.last_pose();
         let predicted = before * arrival.motion;
-        let spread = arrival.motion_covariance.diagonal();
-        let found = recognise(&arrival.scan.observations, &self.landmarks, &predicted);
-        let places = found.into_iter().filter_map(|found| {
-            let gap = pose_error(&arrival.motion, &(before.inverse() * found.world_from_robot));
-            let square: f64 = [0, 1, 5].map(|i| gap[i] * gap[i] / spread[i]).iter().sum();
-            (square < REACH).then_some((found.world_from_robot, -0.5 * square))
+        let spread = arrival.motion_covariance;
+        let level_m2 = spread[(0, 0)].max(spread[(1, 1)]);
+        // Roll and pitch leave hardly anything of the motion's frame: over the ground it is a circle.
+        let distance = |at: &Vector2<f64>, turn_rad: f64| {
+            let gap = at - predicted.translation.vector.xy();
+            gap.norm_squared() / level_m2 + turn_rad * turn_rad / spread[(5, 5)]
+        };
+        let observations = &arrival.scan.observations;
+        let found = recognise(observations, &self.landmarks, &predicted, |at, turn_rad| {
+            distance(at, turn_rad) < REACH
         });
-        places.collect()
+        let log_prior = |place: &Isometry3<f64>| {
+            let turn = place.rotation * predicted.rotation.inverse();
+            -0.5 * distance(&place.translation.vector.xy(), turn.angle())
+        };
+        let places = found.into_iter().map(|found| found.world_from_robot);
+        places.map(|place| (place, log_prior(&place))).collect()
     }
 
     /// [`prepare`](Self::prepare) for a scan that was recognised at a place: what odometry says of the way

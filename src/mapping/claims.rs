@@ -1,0 +1,139 @@
+//! Explanations of one scan, and what the map says for and against each.
+
+use super::association::Assignment;
+use super::estimate::{Estimate, Prepared};
+use super::landmark::LandmarkId;
+use super::scan_errors::ScanObservations;
+use nalgebra::Matrix3;
+
+/// Rise of a normal, seen by the robot, above which a plane is level.
+const LEVEL: f64 = 0.8;
+/// What one explanation must be behind by while nothing proves it: three scans' worth of a pair that
+/// fits by chance.
+pub(super) const UNPROVEN: f64 = 9.0;
+/// Logarithm of how much one contradicting point in a hundred speaks against a pose, beyond the few
+/// that doors, people and masks account for, and the most that contradictions may say.
+const AGAINST_PER_CENT: f64 = 3.0;
+pub(super) const TOLERATED_SHARE: f64 = 0.02;
+const MOST_AGAINST: f64 = 100.0;
+/// Share of a scan's area that must be recognised before it may move the robot beyond what odometry
+/// allows.
+const PROVEN_AREA_SHARE: f64 = 0.6;
+/// Least eigenvalue of the sum of `n nᵀ` over the recognised normals that fixes a place.
+const PROVEN_SPREAD: f64 = 0.4;
+
+/// Logarithm of how much a share of contradicting points speaks against a pose.
+fn weight_of(contradicting_share: f64) -> f64 {
+    let excess = (contradicting_share - TOLERATED_SHARE).max(0.0);
+    (100.0 * AGAINST_PER_CENT * excess).min(MOST_AGAINST)
+}
+
+/// An explanation of a scan before it is judged.
+#[derive(Clone)]
+pub(super) struct Claim {
+    /// Position of what was prepared.
+    pub(super) prepared: usize,
+    pub(super) assignment: Assignment,
+    /// Logarithm of its prior.
+    pub(super) log_prior: f64,
+    /// Whether it moves the robot far beside what it takes for seen.
+    pub(super) far: bool,
+    /// Whether it has the robot carried there, against all odometry.
+    pub(super) carried: bool,
+    /// See [`Estimate::left_out`].
+    pub(super) left_out: Vec<(usize, LandmarkId)>,
+    /// See [`Estimate::pieces`].
+    pub(super) pieces: f64,
+}
+
+/// An explanation with what the map says of it.
+pub(super) struct Judged {
+    pub(super) prepared: usize,
+    pub(super) assignment: Assignment,
+    pub(super) score: f64,
+    /// Share of the scan's points that contradict the map.
+    pub(super) refuted: f64,
+    pub(super) far: bool,
+    pub(super) carried: bool,
+}
+
+/// Scores of explanations with what the map says against them, and without a lead for what is far from
+/// the prediction and unproven.
+pub(super) fn judge(
+    claims: Vec<Claim>,
+    estimate: &Estimate,
+    options: &[Prepared],
+    scan: &ScanObservations,
+) -> Vec<Judged> {
+    let mut judged: Vec<Judged> = claims
+        .into_iter()
+        .map(|Claim { prepared, assignment, log_prior, far, carried, left_out, pieces }| {
+            let option = &options[prepared];
+            let against = estimate.contradiction(scan, option, &assignment, &left_out);
+            let refuted = against.share();
+            let score = assignment.support + pieces + log_prior + against.footing + against.doubled
+                - weight_of(refuted);
+            Judged { prepared, assignment, score, refuted, far, carried }
+        })
+        .collect();
+    let near = judged.iter().filter(|option| !option.far);
+    let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
+    let near = near.expect("the prediction itself is among the explanations");
+    let (near_score, near_refuted) = (near.score, near.refuted);
+    let near_is_wrong = |refuted: f64| near_refuted > refuted + TOLERATED_SHARE;
+    // A room like another proves nothing: odometry must be wrong before a robot was carried.
+    judged.retain(|option| !option.carried || near_is_wrong(option.refuted));
+    let far_places = judged.iter().filter(|option| option.far).count();
+    for option in &mut judged {
+        // What lies far from the prediction needs more than a good fit: worlds repeat themselves.
+        let proven = !option.far
+            || (far_places == 1
+                && option.refuted < TOLERATED_SHARE
+                && near_is_wrong(option.refuted)
+                && proven(&option.assignment, scan));
+        if !proven {
+            option.score = option.score.min(near_score - UNPROVEN);
+        }
+        tracing::debug!(
+            pairs = option.assignment.pairs.len(),
+            score = option.score,
+            refuted = option.refuted,
+            far = option.far,
+            carried = option.carried,
+            proven,
+            "explanation of a scan"
+        );
+    }
+    judged
+}
+
+/// Share of a scan's upright area that an assignment recognises: floors and ceilings look alike anywhere.
+pub(super) fn upright_share(assignment: &Assignment, scan: &ScanObservations) -> f64 {
+    let upright_m2 = |observation: usize| {
+        let seen = &scan.observations[observation];
+        if seen.normal().z.abs() < LEVEL { seen.area_m2() } else { 0.0 }
+    };
+    let recognised: f64 = assignment.pairs.iter().map(|pair| upright_m2(pair.0)).sum();
+    let whole: f64 = (0..scan.observations.len()).map(upright_m2).sum();
+    if whole > 0.0 { recognised / whole } else { 1.0 }
+}
+
+/// Share of a scan's area that an assignment recognises.
+pub(super) fn recognised_share(assignment: &Assignment, scan: &ScanObservations) -> f64 {
+    let area = |observation: usize| scan.observations[observation].area_m2();
+    let whole: f64 = (0..scan.observations.len()).map(area).sum();
+    let recognised: f64 = assignment.pairs.iter().map(|pair| area(pair.0)).sum();
+    if whole > 0.0 { recognised / whole } else { 1.0 }
+}
+
+/// Whether an assignment recognises most of what a scan shows, in planes that fix all directions.
+fn proven(assignment: &Assignment, scan: &ScanObservations) -> bool {
+    let spread: Matrix3<f64> = assignment
+        .pairs
+        .iter()
+        .map(|pair| scan.observations[pair.0].normal())
+        .map(|normal| normal * normal.transpose())
+        .sum();
+    recognised_share(assignment, scan) > PROVEN_AREA_SHARE
+        && spread.symmetric_eigenvalues().min() > PROVEN_SPREAD
+}
