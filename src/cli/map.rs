@@ -4,6 +4,7 @@ mod grid;
 
 use super::files::{Format, median, read_scan, write_stdout};
 use super::say;
+use crate::exploration::Places;
 use crate::export::keyframes::keyframes_at;
 use crate::export::landmarks::{rows, surface_polygons, surfaces_json};
 use crate::export::ply;
@@ -12,7 +13,7 @@ use crate::export::tum::{self, TimedPose};
 use crate::files::replace::replace_file;
 use crate::mapping::{
     Mapper, MapperConfig, Mode, MotionSource, RefusalReason, ScanErrors, ScanObservations,
-    UpdateReport, curved_observations, observations,
+    UpdateReport, WeakDirection, curved_observations, observations,
 };
 use crate::scan::RangeImage;
 use crate::segmentation::{SegmentationConfig, Segmenter};
@@ -33,7 +34,8 @@ pub struct MapArguments {
     /// Organised scans in order: PCD 0.7 with HEIGHT > 1, points in the sensor's frame
     #[arg(required = true)]
     scans: Vec<PathBuf>,
-    /// Odometry poses of the sensor, one TUM line a scan
+    /// Odometry poses of the sensor, one TUM line a scan; without it each scan is sought within about a
+    /// metre and 30° of the one before
     #[arg(long, value_name = "FILE")]
     odometry: Option<PathBuf>,
     /// True poses of the sensor, one TUM line a scan: for scoring only
@@ -46,7 +48,7 @@ pub struct MapArguments {
     #[arg(long, value_enum, default_value_t)]
     mode: ModeArgument,
     /// Folder for trajectory.tum, planes.ply, surfaces.json, keyframes.json, report.json and the
-    /// grid: map.pgm, map.yaml, map.png; `usar eval` scores it
+    /// grid: map.pgm, map.yaml, map.png, places.json; `usar eval` scores it
     #[arg(long, value_name = "DIR", help_heading = "Output")]
     out: Option<PathBuf>,
     /// Form of the summary on standard output
@@ -247,6 +249,7 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
         .iter()
         .map(|step| {
             let report = &step.report;
+            let weak: Vec<&str> = report.weak_directions.iter().map(WeakDirection::word).collect();
             json!({
                 "time_s": step.time_s,
                 "planes": step.planes,
@@ -255,7 +258,7 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
                 "refused": report.refused.len(),
                 "nis": report.nis,
                 "nis_degrees": report.nis_degrees,
-                "weak_directions": report.weak_directions.len(),
+                "weak_directions": weak,
                 "covariance": rows(&report.covariance),
                 "segment_ms": step.segment_ms,
                 "map_ms": step.map_ms,
@@ -287,7 +290,9 @@ fn write_grid(folder: &Path, mapper: &Mapper, images: &[RangeImage]) -> Result<(
     let title = format!("{} scans", images.len());
     write(folder, "map.pgm", &map.pgm())?;
     write(folder, "map.yaml", map.yaml("map.pgm").as_bytes())?;
-    write(folder, "map.png", &grid::picture(&grid, &keyframes, title).to_png())
+    let places = Places::default().renewed(&grid);
+    write(folder, "places.json", &serde_json::to_vec_pretty(&places)?)?;
+    write(folder, "map.png", &grid::picture(&grid, places, &keyframes, title).to_png())
 }
 
 fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
@@ -346,6 +351,10 @@ fn summary(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> String {
             t.y,
             t.z,
         );
+        // The first scan is where the map begins.
+        for weak in report.weak_directions.iter().filter(|_| k > 0) {
+            let _ = write!(text, "; {} open", weak.word());
+        }
         for refusal in &report.refused {
             let reason = match refusal.reason {
                 RefusalReason::FailedRetest(d) => format!("failed after the update ({d:.1})"),

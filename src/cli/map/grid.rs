@@ -1,5 +1,6 @@
 //! The 2D grid of organised scans at the poses that the mapper gave them.
 
+use crate::exploration::Places;
 use crate::export::canvas::Canvas;
 use crate::export::map_picture::{self, Overlay};
 use crate::mapping::Landmark;
@@ -63,9 +64,9 @@ fn nearest_ground(image: &RangeImage, above_m: f64) -> Option<f64> {
         .min_by(f64::total_cmp)
 }
 
-/// The grid for people, with the way of the sensor.
-pub fn picture(grid: &Grid, keyframes: &[Isometry3<f64>], title: String) -> Canvas {
+/// The grid for people, with rooms, doorways and the way of the sensor.
+pub fn picture(grid: &Grid, places: Places, keyframes: &[Isometry3<f64>], title: String) -> Canvas {
     let sweeps = keyframes.iter().map(|pose| pose.translation.vector.xy().into()).collect();
     let trajectory = keyframes.to_vec();
-    map_picture::draw(grid, &Overlay { title, trajectory, sweeps, ..Overlay::default() })
+    map_picture::draw(grid, &Overlay { title, trajectory, sweeps, places, ..Overlay::default() })
 }
