@@ -161,7 +161,7 @@ impl Full {
         let large = found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD);
         let place = prepared.len();
         let doubled = (2 * pairs).max(FEW_PAIRS + 1);
-        let guess = found.belief.world_from_robot;
+        let (predicted, guess) = (plain.belief.world_from_robot, found.belief.world_from_robot);
         let carried_to = |least: usize| -> Vec<Prepared> {
             let places = estimate.elsewhere(arrival, &guess);
             let there = places.iter().map(|place| estimate.prepare_at(arrival, config, place));
@@ -233,7 +233,9 @@ impl Full {
         if is_open {
             for (world_from_robot, log_prior) in estimate.within_reach(arrival) {
                 let there = estimate.prepare_at(arrival, config, &world_from_robot);
-                claims.extend(options(&there, prepared.len(), log_prior));
+                let far = moves_far(&predicted, &world_from_robot, FAR_M, FAR_RAD);
+                let options = options(&there, prepared.len(), log_prior).into_iter();
+                claims.extend(options.map(|claim| Claim { far: claim.far || far, ..claim }));
                 prepared.push(there);
             }
         }
