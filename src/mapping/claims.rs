@@ -29,7 +29,6 @@ fn weight_of(contradicting_share: f64) -> f64 {
 }
 
 /// An explanation of a scan before it is judged.
-#[derive(Clone)]
 pub(super) struct Claim {
     /// Position of what was prepared.
     pub(super) prepared: usize,
@@ -47,6 +46,7 @@ pub(super) struct Claim {
 }
 
 /// An explanation with what the map says of it.
+#[derive(Clone)]
 pub(super) struct Judged {
     pub(super) prepared: usize,
     pub(super) assignment: Assignment,
@@ -57,25 +57,26 @@ pub(super) struct Judged {
     pub(super) carried: bool,
 }
 
-/// Scores of explanations with what the map says against them, and without a lead for what is far from
-/// the prediction and unproven.
-pub(super) fn judge(
+/// Scores of explanations, each for itself, with what the map says against them.
+pub(super) fn weigh(
     claims: Vec<Claim>,
     estimate: &Estimate,
     options: &[Prepared],
     scan: &ScanObservations,
 ) -> Vec<Judged> {
-    let mut judged: Vec<Judged> = claims
-        .into_iter()
-        .map(|Claim { prepared, assignment, log_prior, far, carried, left_out, pieces }| {
-            let option = &options[prepared];
-            let against = estimate.contradiction(scan, option, &assignment, &left_out);
-            let refuted = against.share();
-            let score = assignment.support + pieces + log_prior + against.footing + against.doubled
-                - weight_of(refuted);
-            Judged { prepared, assignment, score, refuted, far, carried }
-        })
-        .collect();
+    let weigh = |Claim { prepared, assignment, log_prior, far, carried, left_out, pieces }| {
+        let option = &options[prepared];
+        let against = estimate.contradiction(scan, option, &assignment, &left_out);
+        let refuted = against.share();
+        let score = assignment.support + pieces + log_prior + against.footing + against.doubled
+            - weight_of(refuted);
+        Judged { prepared, assignment, score, refuted, far, carried }
+    };
+    claims.into_iter().map(weigh).collect()
+}
+
+/// The same held against one another: without a lead for what is far from the prediction and unproven.
+pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Judged> {
     let near = judged.iter().filter(|option| !option.far);
     let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
     let near = near.expect("the prediction itself is among the explanations");

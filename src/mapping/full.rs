@@ -2,7 +2,9 @@
 //! the data allow several.
 
 use super::association::{Assignment, AssociationConfig};
-use super::claims::{Claim, TOLERATED_SHARE, UNPROVEN, judge, recognised_share, upright_share};
+use super::claims::{
+    Claim, TOLERATED_SHARE, UNPROVEN, judge, recognised_share, upright_share, weigh,
+};
 use super::curved::CurvedLandmark;
 use super::estimate::{Arrival, Attitude, Estimate, Prepared};
 use super::graph::GraphConfig;
@@ -216,16 +218,17 @@ impl Full {
             pieces: 0.0,
         });
         prepared.push(plain);
-        let known = claims.len();
-        let mut judged = judge(claims.clone(), estimate, prepared, arrival.scan);
+        let mut weighed = weigh(claims, estimate, prepared, arrival.scan);
+        let mut judged = judge(weighed.clone(), arrival.scan);
         let best = judged.iter().max_by(|a, b| a.score.total_cmp(&b.score));
         let stands = best.is_some_and(|best| best.score >= 0.0 && best.refuted <= REFUTED_SHARE);
         // Pairs that the map speaks against are no measure of what another place must show.
         let least = if few || stands { doubled } else { FEW_PAIRS + 1 };
         let more = |claim: &Claim| claim.assignment.pairs.len() >= least;
+        let mut farther: Vec<Claim> = Vec::new();
         if few || !stands {
             let wide = estimate.prepare(arrival, config, WIDENING);
-            claims.extend(options(&wide, prepared.len(), LOG_SELDOM).into_iter().filter(more));
+            farther.extend(options(&wide, prepared.len(), LOG_SELDOM).into_iter().filter(more));
             prepared.push(wide);
         }
         // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
@@ -235,22 +238,23 @@ impl Full {
                 let there = estimate.prepare_at(arrival, config, &world_from_robot);
                 let far = moves_far(&predicted, &world_from_robot, FAR_M, FAR_RAD);
                 let options = options(&there, prepared.len(), log_prior).into_iter();
-                claims.extend(options.map(|claim| Claim { far: claim.far || far, ..claim }));
+                farther.extend(options.map(|claim| Claim { far: claim.far || far, ..claim }));
                 prepared.push(there);
             }
         }
-        if claims.len() == known {
+        if farther.is_empty() {
             if !stands && !lost {
                 elsewhere = carried_to(least);
             }
             for there in elsewhere {
                 let options = options(&there, prepared.len(), LOG_LOST).into_iter().filter(more);
-                claims.extend(options.map(|claim| Claim { far: true, carried: true, ..claim }));
+                farther.extend(options.map(|claim| Claim { far: true, carried: true, ..claim }));
                 prepared.push(there);
             }
         }
-        if claims.len() > known {
-            judged = judge(claims, estimate, prepared, arrival.scan);
+        if !farther.is_empty() {
+            weighed.extend(weigh(farther, estimate, prepared, arrival.scan));
+            judged = judge(weighed, arrival.scan);
         }
         branches.extend(judged.into_iter().map(|judged| Branch {
             parent,

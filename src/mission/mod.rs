@@ -14,6 +14,7 @@ mod config;
 mod event;
 mod fixing;
 mod floor;
+mod grip;
 mod inertial_way;
 mod journal;
 mod leaps;

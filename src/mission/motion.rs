@@ -1,5 +1,6 @@
 //! From wheel and inertial readings to one increment of motion at a time.
 
+use super::grip::Grip;
 use super::inertial_way::InertialWay;
 use super::leaps::Leaps;
 use super::level::LevelDrift;
@@ -67,7 +68,7 @@ pub struct MotionTracker {
     drift: LevelDrift,
     wheel_leaps: Leaps<PlanarPose>,
     attitude_leaps: Leaps<BodyAttitude>,
-    /// Readings of the wheels since an attitude was read, and how far they turned meanwhile.
+    /// Readings of the wheels since an attitude was read, and how far they turned from the first of them on.
     silent: u32,
     unheard_rad: f64,
     grip: Grip,
@@ -86,43 +87,6 @@ const SILENT: u32 = 12;
 /// Over more than this no readings are lost: the wheels are counted from elsewhere.
 const RESTARTED_M: f64 = 20.0;
 
-/// How much of the turns that the wheels count the robot makes, as long as an inertial unit tells.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Grip {
-    by_wheels_rad: f64,
-    told_rad: f64,
-}
-
-impl Grip {
-    /// Turns by the wheels that must have been seen, and those of which half is forgotten, in radians.
-    const PROOF_RAD: f64 = 1.5;
-    const LONG_RAD: f64 = 20.0;
-    /// Least turn of one increment that says anything, in radians.
-    const TURNING_RAD: f64 = 0.01;
-    /// Shares that are believed.
-    const LEAST: f64 = 0.2;
-    const MOST: f64 = 1.5;
-
-    fn learn(&mut self, by_wheels_rad: f64, told_rad: f64) {
-        if by_wheels_rad.abs() < Self::TURNING_RAD {
-            return;
-        }
-        if self.by_wheels_rad > Self::LONG_RAD {
-            self.by_wheels_rad *= 0.5;
-            self.told_rad *= 0.5;
-        }
-        self.by_wheels_rad += by_wheels_rad.abs();
-        self.told_rad += told_rad * by_wheels_rad.signum();
-    }
-
-    fn share(&self) -> f64 {
-        if self.by_wheels_rad < Self::PROOF_RAD {
-            return 1.0;
-        }
-        (self.told_rad / self.by_wheels_rad).clamp(Self::LEAST, Self::MOST)
-    }
-}
-
 impl MotionTracker {
     /// Takes in an attitude reading.
     pub fn attitude(&mut self, attitude: BodyAttitude) {
@@ -134,7 +98,7 @@ impl MotionTracker {
         if self.attitude_leaps.believes(self.attitude.as_ref(), &attitude, is_near) {
             self.drift.note(attitude);
             self.attitude = Some(attitude);
-            (self.silent, self.unheard_rad) = (0, 0.0);
+            self.silent = 0;
         }
     }
 
@@ -188,7 +152,7 @@ impl MotionTracker {
         }
         let before = self.wheels.replace(wheels);
         let before = before.filter(|before| apart_m(before, &wheels) <= RESTARTED_M);
-        let attitude_before = std::mem::replace(&mut self.attitude_at_wheels, self.attitude);
+        let mut attitude_before = std::mem::replace(&mut self.attitude_at_wheels, self.attitude);
         let before = before?;
         let mut wheel_turn = wrap_pi(wheels.heading_rad - before.heading_rad);
         // The chord of the arc the wheels drove, seen from half way through the turn.
@@ -196,13 +160,12 @@ impl MotionTracker {
         let (dx, dy) = (wheels.x_m - before.x_m, wheels.y_m - before.y_m);
         let (along, across) = (cos * dx + sin * dy, cos * dy - sin * dx);
         self.silent = self.silent.saturating_add(1);
-        let mut attitude_before = attitude_before;
-        if self.silent <= SILENT {
-            // What the first one tells was told by the attitude before it.
-            self.unheard_rad += if self.silent > 1 { wheel_turn } else { 0.0 };
-        } else if self.attitude.take().is_some() {
+        let unheard = std::mem::take(&mut self.unheard_rad);
+        if (2..=SILENT).contains(&self.silent) {
+            self.unheard_rad = unheard + wheel_turn;
+        } else if self.silent > SILENT && self.attitude.take().is_some() {
             // Lost: what was taken for standing was turning that nobody told.
-            wheel_turn += std::mem::take(&mut self.unheard_rad);
+            wheel_turn += unheard;
             (self.attitude_at_wheels, attitude_before) = (None, None);
         }
         let (turn, level_before, level_after, source) = match (attitude_before, self.attitude) {
@@ -211,7 +174,7 @@ impl MotionTracker {
                 let (before, after) = ((a.roll_rad, a.pitch_rad), (b.roll_rad, b.pitch_rad));
                 let turn = wrap_pi(b.heading_rad - a.heading_rad);
                 if self.silent == 1 {
-                    self.grip.learn(wheel_turn, turn);
+                    self.grip.learn(unheard + wheel_turn, turn);
                 }
                 (turn, before, after, MotionSource::InertialTurn)
             }
@@ -305,11 +268,18 @@ mod tests {
 
     #[test]
     fn wheels_that_turn_more_than_the_robot_are_found_out_while_a_unit_tells() {
+        // A unit that tells as often as the wheels, and one that tells at every third reading of theirs.
+        for every in [1, 3] {
+            wheels_are_found_out(every);
+        }
+    }
+
+    fn wheels_are_found_out(every: i32) {
         let mut tracker = MotionTracker::default();
         let (mut turned_rad, mut lost_rad) = (0.0, 0.0);
         for step in 0..120 {
             let heading_rad = 0.03 * f64::from(step);
-            if step < 80 {
+            if step <= 78 && step % every == 0 {
                 tracker.attitude(BodyAttitude { heading_rad, ..BodyAttitude::default() });
             }
             let Some((increment, source)) =

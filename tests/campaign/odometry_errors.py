@@ -13,39 +13,10 @@ import tempfile
 
 import numpy as np
 
-from scans_io import poses
+from scans_io import poses, turned, write_poses
 
 ERRORS = [(0.1, 2), (0.2, 3), (0.3, 3), (0.3, 5), (0.5, 10)]
 NEAR_M = 0.02
-
-
-def turned(x, y, yaw_deg):
-    sin, cos = np.sin(np.radians(yaw_deg)), np.cos(np.radians(yaw_deg))
-    pose = np.eye(4)
-    pose[:2, :2], pose[:2, 3] = [[cos, -sin], [sin, cos]], (x, y)
-    return pose
-
-
-def quaternion(rotation):
-    """x, y, z, w; the greatest of them is found first."""
-    values, vectors = np.linalg.eigh(
-        np.array([
-            [rotation[0, 0] - rotation[1, 1] - rotation[2, 2], 0, 0, 0],
-            [rotation[1, 0] + rotation[0, 1], rotation[1, 1] - rotation[0, 0] - rotation[2, 2], 0, 0],
-            [rotation[2, 0] + rotation[0, 2], rotation[2, 1] + rotation[1, 2],
-             rotation[2, 2] - rotation[0, 0] - rotation[1, 1], 0],
-            [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0],
-             rotation[1, 0] - rotation[0, 1], np.trace(rotation)],
-        ])
-    )
-    return vectors[:, np.argmax(values)]
-
-
-def write(path, series):
-    with open(path, "w") as out:
-        for k, pose in enumerate(series):
-            numbers = [*pose[:3, 3], *quaternion(pose[:3, :3])]
-            out.write(" ".join([str(k), *(f"{number:.9f}" for number in numbers)]) + "\n")
 
 
 def main():
@@ -70,7 +41,7 @@ def main():
                     bearing, side = random.uniform(0, 2 * np.pi), random.choice([-1, 1])
                     error = turned(metres * np.cos(bearing), metres * np.sin(bearing), side * degrees)
                     told.append(told[-1] @ np.linalg.inv(before) @ after @ error)
-                write(odometry, told)
+                write_poses(odometry, told)
                 command = [usar, "map", *scans, "--odometry", odometry, "--out", out, "-q"]
                 subprocess.run(command, check=True, capture_output=True)
                 found = poses(os.path.join(out, "trajectory.tum"))

@@ -15,17 +15,10 @@ import tempfile
 
 import numpy as np
 
-from scans_io import poses
+from scans_io import poses, turned, write_poses
 
 SEED, DRAWN = 5, 16
 NAMED = [(0.1, 0, 0), (0.2, 0, 0), (0.3, 0.1, 5), (0.5, 0, 10), (0.3, -0.4, -15), (1, 0, 0), (1, 0.2, 20)]
-
-
-def pose(x, y, yaw_deg):
-    sin, cos = np.sin(np.radians(yaw_deg)), np.cos(np.radians(yaw_deg))
-    moved = np.eye(4)
-    moved[:2, :2], moved[:2, 3] = [[cos, -sin], [sin, cos]], (x, y)
-    return moved
 
 
 def load(path):
@@ -45,20 +38,13 @@ def save(path, points):
     open(path, "wb").write(head.encode() + points.astype("<f4").tobytes())
 
 
-def tum(path, poses):
-    with open(path, "w") as out:
-        for k, p in enumerate(poses):
-            yaw = np.arctan2(p[1, 0], p[0, 0]) / 2
-            out.write(f"{k} {p[0, 3]} {p[1, 3]} {p[2, 3]} 0 0 {np.sin(yaw)} {np.cos(yaw)}\n")
-
-
 def trial(usar, folder, points, truth, told):
     inverse = np.linalg.inv(truth)
     scans = [os.path.join(folder, name) for name in ("a.pcd", "b.pcd")]
     save(scans[0], points)
     save(scans[1], points @ inverse[:3, :3].T + inverse[:3, 3])
     odometry, out = os.path.join(folder, "odometry.tum"), os.path.join(folder, "out")
-    tum(odometry, [np.eye(4), told])
+    write_poses(odometry, [np.eye(4), told])
     subprocess.run([usar, "map", *scans, "--odometry", odometry, "--out", out, "-q"], check=True,
                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     scan = json.load(open(os.path.join(out, "report.json")))["scans"][1]
@@ -82,14 +68,14 @@ def main():
             for every in (1, 2):
                 points, name = whole[:, ::every], f"{os.path.basename(path)}, every {every}"
                 for named in NAMED:
-                    truth = pose(*named)
+                    truth = turned(*named)
                     mm, deg, nees, pairs, planes = trial(usar, folder, points, truth, truth)
                     print(f"| {name} | {named} | {mm:.1f} | {deg:.2f} | {nees:.1f} | {pairs} of {planes} |", flush=True)
                 rng = np.random.default_rng(SEED)
                 drawn = []
                 for _ in range(DRAWN):
-                    truth = pose(*rng.uniform(-0.6, 0.6, 2), rng.uniform(-15, 15))
-                    told = truth @ pose(*(0.02 * rng.standard_normal(2)), 0.3 * rng.standard_normal())
+                    truth = turned(*rng.uniform(-0.6, 0.6, 2), rng.uniform(-15, 15))
+                    told = truth @ turned(*(0.02 * rng.standard_normal(2)), 0.3 * rng.standard_normal())
                     drawn.append(trial(usar, folder, points, truth, told))
                 mm, deg, nees, pairs, planes = np.array(drawn).T
                 print(f"| {name} | {DRAWN} drawn: median (worst) | {np.median(mm):.1f} ({mm.max():.1f}) | {np.median(deg):.2f} "

@@ -21,6 +21,8 @@ const OPENS_M: f64 = 0.8;
 const THROUGH_M: [f64; 3] = [0.4, 0.6, 0.8];
 /// Cosine of the angle between the directions to both jambs, at most.
 const OPPOSITE: f64 = -0.7;
+/// A jamb is no farther than this many times the distance of the nearer one.
+const ABOUT_AS_NEAR: f64 = 1.3;
 /// Narrowest passage that counts as a doorway, in metres: what is left between points of a wall is none.
 const NARROWEST_DOORWAY_M: f64 = 0.4;
 
@@ -216,7 +218,8 @@ impl<'a> Ground<'a> {
     /// side.
     fn across(&self, index: usize) -> Option<Vector2<f64>> {
         let middle = self.grid.cell_at(index);
-        let reach = (self.clear[index] as f64 * 0.13).ceil() as i32 + 1;
+        let reach =
+            (ABOUT_AS_NEAR * self.metres(self.clear[index]) / self.grid.cell_m()).ceil() as i32;
         let mut near: Vec<(i32, Vector2<f64>)> = Vec::new();
         for (dx, dy) in (-reach..=reach).flat_map(|dx| (-reach..=reach).map(move |dy| (dx, dy))) {
             let cell = CellIndex { x: middle.x + dx, y: middle.y + dy };
@@ -225,14 +228,11 @@ impl<'a> Ground<'a> {
                 near.push((dx * dx + dy * dy, Vector2::new(f64::from(dx), f64::from(dy))));
             }
         }
-        let first = near.iter().min_by_key(|(square, _)| *square)?.1.normalize();
-        let opposite = near
-            .iter()
-            .map(|(_, other)| (first.dot(&other.normalize()), other))
-            .min_by(|a, b| a.0.total_cmp(&b.0))?;
-        (opposite.0 < OPPOSITE).then(|| {
-            (first * self.metres(self.clear[index]) / self.grid.cell_m() - opposite.1).normalize()
-        })
+        let first = near.iter().min_by_key(|(square, _)| *square)?.1;
+        let cosine = |other: &Vector2<f64>| first.normalize().dot(&other.normalize());
+        let opposite = near.iter().map(|(_, other)| other);
+        let opposite = opposite.min_by(|a, b| cosine(a).total_cmp(&cosine(b)))?;
+        (cosine(opposite) < OPPOSITE).then(|| (first - opposite).normalize())
     }
 
     /// Whether known ground soon is so wide beyond a pass.
@@ -264,6 +264,7 @@ impl<'a> Ground<'a> {
         f64::from(clear.min(1_000_000)) * 0.1 * self.grid.cell_m()
     }
 
+    /// Where the rooms of these labels meet in doorways, in the order of the labels.
     pub fn meetings(&self, labels: &[u32]) -> Vec<Meeting> {
         let mut borders: BTreeMap<(u32, u32), BTreeSet<usize>> = BTreeMap::new();
         for index in (0..labels.len()).filter(|&i| labels[i] > 0) {
