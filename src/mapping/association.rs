@@ -112,6 +112,9 @@ pub(super) enum Verdict {
 /// Standard deviations of the pose below which further pairs would not change what fits.
 const SETTLED_M: f64 = 0.002;
 const SETTLED_RAD: f64 = 0.0005;
+/// Standard deviation of an offset up to which a patch beside a landmark may be another piece of it. A panel
+/// on a wall is a few centimetres thick.
+const BESIDE_M: f64 = 0.006;
 /// Two assignments differ when they put the robot this far apart.
 pub(super) const APART_M: f64 = 0.10;
 /// Most that the tightness of one pair may say for a place. The misfit that a true pair has on average
@@ -150,7 +153,11 @@ impl Question<'_> {
         {
             return false;
         }
+        // That a surface goes on beyond a gap is told from its offset alone: it must be known better than
+        // panels are thick.
+        let goes_on = rows.s[(0, 0)] < BESIDE_M * BESIDE_M;
         self.patches_meet(belief, observation, plane, config)
+            && (goes_on || self.patches_overlap(belief, observation, plane))
     }
 
     fn patches_meet(
@@ -162,19 +169,65 @@ impl Question<'_> {
     ) -> bool {
         let seen = &self.observations[observation];
         let map = self.landmarks[plane];
-        let plane_from_observed =
-            belief.planes[plane].inverse() * belief.world_from_robot * seen.robot_from_plane;
+        let plane_from_observed = self.plane_from_observed(belief, observation, plane);
         let carried = carried_hull(&seen.hull, &plane_from_observed);
-        let reach = seen.robot_from_plane.translation.vector.norm();
-        let (shift, turn) = belief.pose_spread();
-        let (shift, turn) = (shift.max(0.0).sqrt(), turn.max(0.0).sqrt());
-        let gap = config.max_gap_m + 2.0 * (shift + reach * turn);
+        let (shift_m2, turn_rad2) = belief.pose_spread();
+        let gap = config.max_gap_m + self.open_m(observation, shift_m2, turn_rad2);
         if !hulls_meet(&map.hull, &carried, config.min_overlap_share, gap) {
             return false;
         }
         map.mask.is_empty()
             || seen.mask.is_empty()
             || map.mask.near(&self.samples[observation], &plane_from_observed, gap)
+    }
+
+    /// Whether one of two patches lies by half or more where the other one is, as far as the place within
+    /// the plane is known.
+    pub(super) fn patches_overlap(
+        &self,
+        belief: &Belief,
+        observation: usize,
+        plane: usize,
+    ) -> bool {
+        let (shift_m2, turn_rad2) = belief.spread_within(plane);
+        self.patches_cover(
+            belief,
+            observation,
+            plane,
+            self.open_m(observation, shift_m2, turn_rad2),
+        )
+    }
+
+    /// Whether one of two patches lies by half or more within `reach_m` of the other one.
+    pub(super) fn patches_cover(
+        &self,
+        belief: &Belief,
+        observation: usize,
+        plane: usize,
+        reach_m: f64,
+    ) -> bool {
+        let (own, others) = (&self.observations[observation].mask, &self.landmarks[plane].mask);
+        let others_from_own = self.plane_from_observed(belief, observation, plane);
+        own.is_empty()
+            || others.is_empty()
+            || others.covers(&self.samples[observation], &others_from_own, reach_m)
+            || own.covers(&others.samples(), &others_from_own.inverse(), reach_m)
+    }
+
+    fn plane_from_observed(
+        &self,
+        belief: &Belief,
+        observation: usize,
+        plane: usize,
+    ) -> Isometry3<f64> {
+        let robot_from_plane = self.observations[observation].robot_from_plane;
+        belief.planes[plane].inverse() * belief.world_from_robot * robot_from_plane
+    }
+
+    /// How far a patch may lie from where it is believed to be, by the variances of the pose.
+    fn open_m(&self, observation: usize, shift_m2: f64, turn_rad2: f64) -> f64 {
+        let reach = self.observations[observation].robot_from_plane.translation.vector.norm();
+        2.0 * (shift_m2.max(0.0).sqrt() + reach * turn_rad2.max(0.0).sqrt())
     }
 
     /// Decides every observation, given the belief after the joint search. Several observations may

@@ -117,9 +117,24 @@ impl Belief {
         (p[(0, 0)] + p[(1, 1)] + p[(2, 2)], p[(3, 3)] + p[(4, 4)] + p[(5, 5)])
     }
 
+    /// Variances of the pose within a plane: of its translation along the axis along which it is known worse,
+    /// in m², of its rotation over all axes, in rad².
+    pub(super) fn spread_within(&self, plane: usize) -> (f64, f64) {
+        let axes = self.planes[plane].rotation;
+        let shift = self.covariance.fixed_view::<3, 3>(0, 0);
+        let along = |axis: Vector3<f64>| (axes * axis).dot(&(shift * (axes * axis)));
+        (along(Vector3::x()).max(along(Vector3::y())), self.pose_spread().1)
+    }
+
     /// Variance of one component of the pose.
     pub(super) fn pose_variance(&self, component: usize) -> f64 {
         self.covariance[(component, component)]
+    }
+
+    /// Variance of a plane's tilt about whichever of its axes it is known worse.
+    pub(super) fn tilt_variance(&self, plane: usize) -> f64 {
+        let at = self.first_plane() + 3 * plane;
+        self.covariance[(at + 1, at + 1)].max(self.covariance[(at + 2, at + 2)])
     }
 
     /// Covariance of the pose.

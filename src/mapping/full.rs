@@ -193,6 +193,7 @@ impl Full {
         }
         if large {
             estimate.associate(arrival, config, &mut plain, SLACK);
+            estimate.associate_near(arrival, config, &mut plain, LARGE_M);
         }
         let options = |prepared: &Prepared, place: usize, log_prior: f64| -> Vec<Claim> {
             let claim = |found: &Assignment| Claim {

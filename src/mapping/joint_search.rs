@@ -54,8 +54,12 @@ impl Question<'_> {
         }
         let chosen = most_telling(self.observations, &anchors, config.anchors);
         anchors.retain(|(observation, _)| chosen.contains(observation));
-        // First those with fewest choices.
-        anchors.sort_by_key(|(_, fitting)| fitting.len());
+        // First those with fewest choices. What lies beside all of them comes last: when the place within
+        // the plane is known it may be something else.
+        anchors.sort_by_cached_key(|(observation, fitting)| {
+            let lies_on = |&plane: &usize| self.patches_cover(belief, *observation, plane, 0.0);
+            (!fitting.iter().any(lies_on), fitting.len())
+        });
         // Every step copies the belief: only the planes in question go along.
         let mut planes: Vec<usize> =
             anchors.iter().flat_map(|anchor| anchor.1.iter().copied()).collect();
@@ -76,21 +80,67 @@ impl Question<'_> {
             found: Vec::new(),
         };
         search.descend(0, Set::none(Node::new(belief.among(&planes), &anchors)));
-        let mut found = search.found;
+        let named = |set: Set| {
+            let name = |(observation, plane): (usize, usize)| (observation, planes[plane]);
+            let pairs = set.pairs.into_iter().map(name).collect();
+            (set.score, self.assignment(belief, pairs, set.support, config))
+        };
+        let mut found: Vec<(f64, Assignment)> = search.found.into_iter().map(named).collect();
         // Not `search.most`: the set with most pairs may have lost its place to a likelier one.
-        let most = found.iter().map(|set| set.pairs.len()).max().unwrap_or(0);
-        found.retain(|set| set.pairs.len() + slack >= most);
-        found.sort_by(|a, b| b.score.total_cmp(&a.score));
-        found.truncate(MOST_ASSIGNMENTS);
-        found
-            .into_iter()
-            .map(|Set { pairs, support, .. }| {
-                let named = |(observation, plane): (usize, usize)| (observation, planes[plane]);
-                let pairs: Vec<(usize, usize)> = pairs.into_iter().map(named).collect();
-                let belief = self.after(belief, &pairs);
-                Assignment { pairs, support, belief, pairing: true }
-            })
-            .collect()
+        let most = found.iter().map(|(_, set)| set.pairs.len()).max().unwrap_or(0);
+        found.retain(|(_, set)| set.pairs.len() + slack >= most);
+        found.sort_by(|a, b| b.0.total_cmp(&a.0));
+        found.into_iter().map(|(_, set)| set).take(MOST_ASSIGNMENTS).collect()
+    }
+
+    /// The belief after a set of pairs, without those that lie beside their landmarks unless the others tell
+    /// that the surface goes on there: the search may have come to them before the place within the plane was
+    /// known.
+    fn assignment(
+        &self,
+        belief: &Belief,
+        pairs: Vec<(usize, usize)>,
+        support: f64,
+        config: &AssociationConfig,
+    ) -> Assignment {
+        let after = self.after(belief, &pairs);
+        let lies_on = |&(observation, plane): &(usize, usize)| {
+            self.patches_overlap(&after, observation, plane)
+        };
+        let (mut kept, beside): (Vec<_>, Vec<_>) = pairs.into_iter().partition(lies_on);
+        if beside.is_empty() {
+            return Assignment { pairs: kept, support, belief: after, pairing: true };
+        }
+        let (mut belief, mut support) = (self.after(belief, &kept), support);
+        for (observation, plane) in beside {
+            let rows = self.rows(&belief, observation, plane);
+            if self.comparable(&belief, &rows, observation, plane, config) {
+                self.absorb(&mut belief, observation, plane);
+                kept.push((observation, plane));
+            } else {
+                support -= tempered_ratio(rows.distance_squared(), rows.s[(0, 0)], config);
+            }
+        }
+        Assignment { pairs: kept, support, belief, pairing: true }
+    }
+
+    /// [`search`](Self::search) among pairs of which none lies farther apart than `most_m` along its normal
+    /// where the belief has the robot. Sets far off may have so many more pairs that it would not come to
+    /// the one that fits where the robot is believed to be.
+    pub(super) fn search_near(
+        &self,
+        belief: &Belief,
+        config: &AssociationConfig,
+        most_m: f64,
+    ) -> Vec<Assignment> {
+        let is_near = |observation: usize, plane: usize| {
+            self.rows(belief, observation, plane).h.x.abs() <= most_m
+        };
+        let candidates = self.candidates.iter().enumerate().map(|(observation, planes)| {
+            planes.iter().copied().filter(|&plane| is_near(observation, plane)).collect()
+        });
+        let candidates: Vec<Vec<usize>> = candidates.collect();
+        Question { candidates: &candidates, ..*self }.search(belief, config, 0)
     }
 
     /// The belief after pairs, taken in one by one until the pose is settled.

@@ -11,6 +11,8 @@ const CELL_BITS: u32 = 24;
 const ONE_CELL: f64 = (1 << CELL_BITS) as f64;
 /// Cells of which a mask is sampled when only nearness is asked.
 const NEAR_SAMPLES: usize = 200;
+/// The same where only half of it is asked for.
+const COVER_SAMPLES: usize = 40;
 
 /// Which cells of a plane were hit: a bit per 0.1 m square of its local x-y plane.
 ///
@@ -196,6 +198,23 @@ impl PlaneMask {
             let p = self_from_other * Point3::new(cell.x, cell.y, 0.0);
             self.any_within(cell_of(p.x), cell_of(p.y), reach)
         })
+    }
+
+    /// Whether half of the `samples` of another mask, carried over by `self_from_other`, or more lie
+    /// within `reach_m` (in each axis) of a cell that is set here.
+    pub fn covers(
+        &self,
+        samples: &[Point2<f64>],
+        self_from_other: &Isometry3<f64>,
+        reach_m: f64,
+    ) -> bool {
+        let reach = (reach_m / MASK_CELL_M).ceil() as i32;
+        let looked_at = samples.iter().step_by(samples.len().div_ceil(COVER_SAMPLES).max(1));
+        let is_near = |cell: &&Point2<f64>| {
+            let p = self_from_other * Point3::new(cell.x, cell.y, 0.0);
+            self.any_within(cell_of(p.x), cell_of(p.y), reach)
+        };
+        2 * looked_at.clone().filter(is_near).count() >= looked_at.len()
     }
 
     /// Whether a cell within `reach` cells of `(x, y)` in each axis is set.

@@ -5,6 +5,9 @@ use nalgebra::Vector3;
 
 /// Cosine of a normal's angle to the vertical above which a plane lies.
 const LYING_COSINE: f64 = 0.8;
+/// Standard deviation of a plane's tilt above which its turning says nothing of the robot's: pairs turn small
+/// facets as they please.
+const LOOSE_RAD: f64 = 0.03;
 
 /// How far apart two beliefs have the robot beside planes of both: not in the world, for what a loop
 /// closes may move the one or the other there.
@@ -29,11 +32,24 @@ impl Shift {
                 (plane_from_robot.translation.z, normal)
             };
             let ((distance, normal), (other_distance, other_normal)) = (seen(a), seen(b));
-            let gap = (distance - other_distance).abs();
-            let lies = (a.planes[plane].rotation * Vector3::z()).z.abs() > LYING_COSINE;
-            let greatest = if lies { &mut shift.up_m } else { &mut shift.level_m };
-            *greatest = greatest.max(gap);
-            shift.turn_rad = shift.turn_rad.max(normal.angle(&other_normal));
+            let up = a.planes[plane].rotation * Vector3::z();
+            let is_loose = a.tilt_variance(plane) > LOOSE_RAD * LOOSE_RAD;
+            let gap = if is_loose {
+                // A turn of its own would reach the robot by its whole distance: what counts is its middle.
+                let middle = |belief: &Belief| {
+                    let robot = belief.world_from_robot.translation.vector;
+                    robot - belief.planes[plane].translation.vector
+                };
+                up.dot(&(middle(a) - middle(b)))
+            } else {
+                distance - other_distance
+            };
+            let greatest =
+                if up.z.abs() > LYING_COSINE { &mut shift.up_m } else { &mut shift.level_m };
+            *greatest = greatest.max(gap.abs());
+            if !is_loose {
+                shift.turn_rad = shift.turn_rad.max(normal.angle(&other_normal));
+            }
         }
         shift
     }

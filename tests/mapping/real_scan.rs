@@ -88,6 +88,15 @@ fn a_real_scan_moved_by_known_transforms_is_as_far_off_as_it_is_told() {
     let mut random = rng(11);
     let mut draw = |most: f64| most * (2.0 * uniform(&mut random) - 1.0);
     for every in [1, 2] {
+        // The facets that agree with other ones: most pairs lie beside where odometry says that the robot is.
+        let pose = Isometry3::new(Vector3::new(0.5, 0.0, 0.0), Vector3::z() * 10_f64.to_radians());
+        let led_aside = moved(&scan, &pose, every);
+        assert!(
+            led_aside.error_m < 0.02 && led_aside.paired_share > 0.3,
+            "every {every}: {} m, {}",
+            led_aside.error_m,
+            led_aside.paired_share
+        );
         let outcomes: Vec<Outcome> = (0..12)
             .map(|_| {
                 let shift = Vector3::new(draw(0.4), draw(0.4), 0.0);
@@ -107,10 +116,10 @@ fn a_real_scan_moved_by_known_transforms_is_as_far_off_as_it_is_told() {
             1e3 * error_m,
             error_rad.to_degrees()
         );
-        assert!(error_m < 0.01 && error_rad < 0.003, "{error_m} m, {error_rad} rad");
+        assert!(error_m < 0.005 && error_rad < 0.003, "{error_m} m, {error_rad} rad");
         // 6 expected; told by the noise of the ranges alone it is at 80.
-        assert!(nees < 15.0 && told >= 7, "{nees}, {told} of 12");
-        assert!(paired > 0.35, "{paired}");
+        assert!(nees < 10.0 && told >= 10, "{nees}, {told} of 12");
+        assert!(paired > 0.5, "{paired}");
     }
 }
 
@@ -133,6 +142,6 @@ fn a_real_scan_finds_itself_without_odometry() {
         .collect();
     let found = outcomes.iter().filter(|outcome| outcome.error_m < 0.02).count();
     println!("{found} of 12 within 20 mm");
-    // 6 where only the planes that lie near by are looked at.
-    assert!(found >= 8, "{found} of 12");
+    // 6 where only the planes that lie near by are looked at, 9 where patches beside a landmark may be it.
+    assert!(found >= 11, "{found} of 12");
 }

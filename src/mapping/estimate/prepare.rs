@@ -203,6 +203,20 @@ impl Estimate {
         prepared.assignments = question.search(&prepared.belief, config, slack);
     }
 
+    /// Adds the sets of pairs that fit where the robot is predicted, see [`Question::search_near`].
+    pub(in crate::mapping) fn associate_near(
+        &self,
+        arrival: &Arrival<'_>,
+        config: &AssociationConfig,
+        prepared: &mut Prepared,
+        most_m: f64,
+    ) {
+        let landmarks = self.named(&prepared.planes);
+        let question = prepared.question(arrival, &landmarks);
+        let near = question.search_near(&prepared.belief, config, most_m);
+        prepared.assignments.extend(near);
+    }
+
     /// Observations that an assignment leaves out though they fit a landmark, with those landmarks; see
     /// [`Question::left_out`].
     pub(in crate::mapping) fn left_out(
