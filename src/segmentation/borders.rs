@@ -11,7 +11,13 @@ pub(super) struct Borders {
     level: Vec<u32>,
     /// Room for the cells that are listed.
     listed: Vec<u32>,
+    /// By how much more of the neighbours of each cell that was listed have its label than have another
+    /// one; those without a return have none. Less than any number where fewer than eight were looked at.
+    pub leads: Vec<f32>,
 }
+
+/// The lead of a cell of which it is not known.
+const UNKNOWN: f32 = f32::NEG_INFINITY;
 
 impl Borders {
     /// Lists, in order, the cells whose label differs from that of one of their eight neighbours; those
@@ -22,10 +28,11 @@ impl Borders {
     pub fn find(&mut self, labels: &[u32], width: usize, cells: &mut Vec<u32>) {
         cells.clear();
         if width > 0 && !labels.is_empty() {
-            let Self { level, listed } = self;
+            let Self { level, listed, leads } = self;
             level.resize(labels.len(), 0);
             listed.resize(labels.len() + PASSED, 0);
-            Arch::new().dispatch(Find { level, listed, labels, width, cells });
+            leads.resize(labels.len(), UNKNOWN);
+            Arch::new().dispatch(Find { level, listed, leads, labels, width, cells });
         }
     }
 }
@@ -34,6 +41,7 @@ impl Borders {
 struct Find<'a> {
     level: &'a mut [u32],
     listed: &'a mut [u32],
+    leads: &'a mut [f32],
     labels: &'a [u32],
     width: usize,
     cells: &'a mut Vec<u32>,
@@ -47,7 +55,7 @@ impl WithSimd for Find<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { level, listed, labels, width, cells } = self;
+        let Self { level, listed, leads, labels, width, cells } = self;
         let length = labels.len();
         if length > 2 {
             let (left, middle, right) = (&labels[..length - 2], &labels[1..], &labels[2..]);
@@ -65,11 +73,17 @@ impl WithSimd for Find<'_> {
         let bottom = length - width;
         let rows = Rows { labels, level: &*level };
         if bottom == 0 {
+            leads.fill(UNKNOWN);
             return rows.list_rim(0..width, &[], cells);
         }
         rows.list_rim(0..width, &[width], cells);
-        rows.list_inside(width, listed, cells);
+        rows.list_inside(width, listed, leads, cells);
         rows.list_rim(bottom..length, &[bottom - width], cells);
+        leads[..width].fill(UNKNOWN);
+        leads[bottom..].fill(UNKNOWN);
+        for row in leads.chunks_exact_mut(width) {
+            (row[0], row[width - 1]) = (UNKNOWN, UNKNOWN);
+        }
     }
 }
 
@@ -96,13 +110,25 @@ impl Rows<'_> {
 
     /// Lists the same of all rows with one above and one below.
     #[inline(always)]
-    fn list_inside(&self, width: usize, listed: &mut [u32], cells: &mut Vec<u32>) {
+    fn list_inside(
+        &self,
+        width: usize,
+        listed: &mut [u32],
+        leads: &mut [f32],
+        cells: &mut Vec<u32>,
+    ) {
+        let bottom = self.labels.len() - width;
+        // From the second cell on, the cells above and below have others on both sides.
+        let mut first = (width + 1).min(bottom);
+        for cell in width..first {
+            self.list_rim(cell..cell + 1, &[cell - width, cell + width], cells);
+        }
         let parts = |array| {
             let [above, here, below] = three_rows(array, width);
             above.iter().zip(here).zip(below)
         };
         let labels = parts(self.labels);
-        let (mut first, mut count) = (width as u32, 0);
+        let mut count = 0;
         for (((la, l), lb), ((va, v), vb)) in labels.zip(parts(self.level)) {
             let mut differs = [0; PASSED];
             let mut all = 0;
@@ -116,28 +142,51 @@ impl Rows<'_> {
                 let part: &mut [u32; PASSED] =
                     listed[count..].first_chunk_mut().expect("there is room for a part more");
                 let mut some = 0;
-                for (cell, (differs, label)) in (first..).zip(differs.iter().zip(l)) {
+                for (cell, (differs, label)) in (first as u32..).zip(differs.iter().zip(l)) {
                     part[some % PASSED] = cell;
                     some += usize::from((*differs != 0) & (*label != NO_RETURN));
                 }
                 count += some;
+                leads[first..first + PASSED].copy_from_slice(&self.leads(first, width));
             }
-            first += PASSED as u32;
+            first += PASSED;
         }
         cells.extend_from_slice(&listed[..count]);
-        for cell in first as usize..self.labels.len() - width {
-            let [above, below] = [cell - width, cell + width];
-            self.list_rim(cell..cell + 1, &[above, below], cells);
+        for cell in first..bottom {
+            leads[cell] = UNKNOWN;
+            self.list_rim(cell..cell + 1, &[cell - width, cell + width], cells);
         }
+    }
+
+    /// The leads of cells from one on, all of which have eight neighbours.
+    #[inline(always)]
+    fn leads(&self, first: usize, width: usize) -> [f32; PASSED] {
+        let row = |begin: usize| -> &[u32; PASSED + 2] {
+            self.labels[begin..].first_chunk().expect("all cells have eight neighbours")
+        };
+        let [above, here, below] = [row(first - width - 1), row(first - 1), row(first + width - 1)];
+        std::array::from_fn(|i| {
+            let own = here[i + 1];
+            // Those with another label count one less than those without a return, and these one less than
+            // those with its own.
+            let mut votes = 0_i32;
+            for near in [&above[i..i + 3], &[here[i], here[i + 2]], &below[i..i + 3]] {
+                for &label in near {
+                    votes += 2 * i32::from(label == own) + i32::from(label == NO_RETURN);
+                }
+            }
+            (votes - 8) as f32
+        })
     }
 }
 
-/// The same columns of three rows of an array each, from its second row on, in whole parts.
+/// The same columns of three rows of an array each, from the second cell of its second row on, in whole
+/// parts; all cells have neighbours on both sides.
 #[inline(always)]
 fn three_rows(array: &[u32], width: usize) -> [&[[u32; PASSED]]; 3] {
-    let count = array.len() - 2 * width;
+    let Some(count) = array.len().checked_sub(2 * width + 2) else { return [&[]; 3] };
     let part = |first: usize| array[first..first + count].as_chunks().0;
-    [part(0), part(width), part(2 * width)]
+    [part(1), part(width + 1), part(2 * width + 1)]
 }
 
 #[cfg(test)]

@@ -79,8 +79,6 @@ pub(super) struct Competition {
     pub before: Vec<u32>,
     at_border: Vec<bool>,
     front: Vec<u32>,
-    /// Cells of the front that may change.
-    open: Vec<u32>,
     /// The plane of each label, and of those without a return; no numbers where there is none.
     planes: Vec<[f32; 3]>,
     changes: Vec<(u32, u32)>,
@@ -104,7 +102,16 @@ impl Competition {
         }
         self.before.clear();
         self.before.extend(self.border.iter().map(|&cell| labels[cell as usize]));
-        self.front.clone_from(&self.border);
+        self.planes.clear();
+        self.planes.extend(rivals.iter().map(|rival| match rival {
+            Rival::Plane(q) => *q,
+            Rival::Round { .. } => NO_PLANE,
+        }));
+        self.planes.push(NO_PLANE);
+        self.planes[0] = NO_PLANE;
+        let Self { front, border, planes, borders, .. } = self;
+        let leads = &borders.leads;
+        Arch::new().dispatch(ListOpen { field, labels, planes, border, leads, front });
         self.settle_front(field, rivals, labels);
     }
 
@@ -145,13 +152,6 @@ impl Competition {
     fn settle_front(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
         let (width, length) = (field.lanes, field.len());
         self.queued.resize(length, false);
-        self.planes.clear();
-        self.planes.extend(rivals.iter().map(|rival| match rival {
-            Rival::Plane(q) => *q,
-            Rival::Round { .. } => NO_PLANE,
-        }));
-        self.planes.push(NO_PLANE);
-        self.planes[0] = NO_PLANE;
         self.undone.clear();
         let mut left = ROUNDS;
         while left > 0 {
@@ -161,9 +161,7 @@ impl Competition {
                 field,
                 rivals,
                 labels,
-                planes: &self.planes,
                 front: &self.front,
-                open: &mut self.open,
                 changes: &mut self.changes,
             });
             if self.changes.is_empty() {
@@ -204,14 +202,53 @@ impl Competition {
     }
 }
 
+/// Lists the cells at borders that may cost less with another label: one without any error, that all
+/// neighbours have which have not its own.
+///
+/// Most keep theirs. Which ones do is hard to foretell, so they are told from the others without a branch.
+struct ListOpen<'a> {
+    field: &'a Field,
+    labels: &'a [u32],
+    planes: &'a [[f32; 3]],
+    border: &'a [u32],
+    /// Neighbours of each cell at a border with its label less those with another.
+    leads: &'a [f32],
+    front: &'a mut Vec<u32>,
+}
+
+impl WithSimd for ListOpen<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { field, labels, planes, border, leads, front } = self;
+        // Of one length, so that one comparison bounds them all.
+        let [x, y, z, gain, leads] = [&field.x, &field.y, &field.z, &field.gain, leads]
+            .map(|array: &[f32]| &array[..labels.len()]);
+        front.resize(border.len(), 0);
+        let mut count = 0;
+        for &listed in border {
+            front[count] = listed;
+            let cell = listed as usize;
+            let [qx, qy, qz] = planes[(labels[cell] as usize).min(planes.len() - 1)];
+            let e = (qx * x[cell] + qy * y[cell] + qz * z[cell] - 1.0) * gain[cell];
+            let is_kept = e * e - LEAST_GAIN <= DISAGREEMENT * leads[cell];
+            // What is no number is not below anything.
+            count += usize::from(!is_kept);
+        }
+        front.truncate(count);
+    }
+}
+
+/// Stands for a plane where there is none: no error from it is small.
+const NO_PLANE: [f32; 3] = [f32::NAN; 3];
+
 /// One round; vectors of the processor's own compare the neighbours.
 struct Round<'a> {
     field: &'a Field,
     rivals: &'a [Rival],
     labels: &'a [u32],
-    planes: &'a [[f32; 3]],
     front: &'a [u32],
-    open: &'a mut Vec<u32>,
     /// Cells that get another label.
     changes: &'a mut Vec<(u32, u32)>,
 }
@@ -221,16 +258,8 @@ impl WithSimd for Round<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let Self { field, rivals, labels, planes, front, open, changes } = self;
-        // Most cells keep their label. Which ones do is hard to foretell, so they are told from the
-        // others without a branch first.
-        open.resize(open.len().max(front.len()), 0);
-        let mut count = 0;
+        let Self { field, rivals, labels, front, changes } = self;
         for &cell in front {
-            open[count] = cell;
-            count += usize::from(may_change(field, planes, labels, cell as usize));
-        }
-        for &cell in &open[..count] {
             let own = labels[cell as usize];
             if own != NO_RETURN {
                 let label = best_label(field, rivals, labels, cell as usize, own);
@@ -240,30 +269,6 @@ impl WithSimd for Round<'_> {
             }
         }
     }
-}
-
-/// Stands for a plane where there is none: no error from it is small.
-const NO_PLANE: [f32; 3] = [f32::NAN; 3];
-
-/// Whether a cell may cost less with another label: one without any error, that all neighbours have which
-/// have not its own.
-#[inline(always)]
-fn may_change(field: &Field, planes: &[[f32; 3]], labels: &[u32], cell: usize) -> bool {
-    if field.rim.is_on(cell) {
-        return true;
-    }
-    let own = labels[cell];
-    let near = Near::of(labels, cell, field.lanes);
-    let returns = ALL & !near.with(NO_RETURN);
-    let agree = near.with(own);
-    let others = (returns & !agree).count_ones();
-    let [qx, qy, qz] = planes[(own as usize).min(planes.len() - 1)];
-    let e = (qx * field.x[cell] + qy * field.y[cell] + qz * field.z[cell] - 1.0) * field.gain[cell];
-    let (around, agree) = (returns.count_ones(), agree.count_ones());
-    let kept = e * e + DISAGREEMENT * around.wrapping_sub(agree) as f32 - LEAST_GAIN;
-    // What is no number is not below anything.
-    let is_kept = kept <= DISAGREEMENT * (around - others) as f32;
-    !is_kept
 }
 
 /// The label at which a cell costs least.
