@@ -2,12 +2,10 @@
 
 use super::compete::NO_RETURN;
 
-/// Regions, with none, of which it is kept in bits which ones touch: nearly all scans have fewer.
-const FEW: usize = WORDS * 64 - 1;
-/// The bit of what is no region, as is that of zero.
-const NONE_BIT: u32 = FEW as u32;
-/// Words of the bits of a region: one is shifted faster than a number that is twice as wide.
-const WORDS: usize = 2;
+/// Regions, with none, of which it is kept in a table which ones touch: nearly all scans have fewer.
+const FEW: usize = 127;
+/// The place of what is no region, as is that of zero.
+const NONE_PLACE: u32 = FEW as u32;
 /// Pairs that are remembered while others are listed.
 const LATELY: usize = 256;
 
@@ -16,8 +14,10 @@ const LATELY: usize = 256;
 pub(super) struct Touching {
     /// Regions, with none.
     count: usize,
-    /// For each of few regions the bits of those that it was found to touch.
-    bits: [[u64; WORDS]; FEW],
+    /// For each of few regions those that it was found to touch, and room for bits of these: a byte is
+    /// written with fewer instructions than a bit.
+    table: Vec<[bool; FEW + 1]>,
+    bits: Vec<u128>,
     /// Of many regions: the pairs, and those that were listed lately, each at a place that its labels
     /// give: most come again.
     pairs: Vec<(u32, u32)>,
@@ -26,7 +26,8 @@ pub(super) struct Touching {
 
 impl Default for Touching {
     fn default() -> Self {
-        Self { count: 0, bits: [[0; WORDS]; FEW], pairs: Vec::new(), lately: [(0, 0); LATELY] }
+        let (table, bits) = (vec![[false; FEW + 1]; FEW], Vec::with_capacity(FEW));
+        Self { count: 0, table, bits, pairs: Vec::new(), lately: [(0, 0); LATELY] }
     }
 }
 
@@ -36,7 +37,7 @@ impl Touching {
         self.count = count;
         self.pairs.clear();
         if count <= FEW {
-            self.bits[..count].fill([0; WORDS]);
+            self.table[..count].fill([false; FEW + 1]);
         } else {
             self.lately.fill((0, 0));
         }
@@ -46,10 +47,9 @@ impl Touching {
     #[inline]
     pub fn add(&mut self, region: u32, others: impl Iterator<Item = u32>) {
         if self.count <= FEW {
-            let bits = &mut self.bits[region as usize];
+            let row = &mut self.table[region as usize];
             for other in others {
-                let other = other.min(NONE_BIT);
-                bits[(other / 64) as usize] |= 1 << (other % 64);
+                row[other.min(NONE_PLACE) as usize] = true;
             }
         } else {
             others.for_each(|other| self.push(region, other));
@@ -76,23 +76,35 @@ impl Touching {
             sort(pairs);
             return;
         }
-        let all = |bits: [u64; WORDS]| u128::from(bits[0]) | u128::from(bits[1]) << 64;
+        self.bits.clear();
+        self.bits.extend(self.table[..self.count].iter().map(bits_of));
         for a in 1..self.count {
             // Those before it go along with the other one.
-            let mut before = all(self.bits[a]) & ((1 << a) - 2);
+            let mut before = self.bits[a] & ((1 << a) - 2);
             while before != 0 {
-                self.bits[before.trailing_zeros() as usize][a / 64] |= 1 << (a % 64);
+                self.bits[before.trailing_zeros() as usize] |= 1 << a;
                 before &= before - 1;
             }
         }
         for a in 1..self.count {
-            let mut after = all(self.bits[a]) & !(1 << NONE_BIT) & (u128::MAX << a << 1);
+            let mut after = self.bits[a] & !(1 << NONE_PLACE) & (u128::MAX << a << 1);
             while after != 0 {
                 pairs.push((a as u32, after.trailing_zeros()));
                 after &= after - 1;
             }
         }
     }
+}
+
+/// The numbers of those that hold as bits.
+fn bits_of(row: &[bool; FEW + 1]) -> u128 {
+    let mut bits = 0;
+    for (place, part) in row.as_chunks::<8>().0.iter().enumerate() {
+        // The product brings the lowest bit of each byte to its place in the uppermost byte.
+        let bytes = u64::from_le_bytes(part.map(u8::from));
+        bits |= u128::from(bytes.wrapping_mul(0x0102_0408_1020_4080) >> 56) << (8 * place);
+    }
+    bits
 }
 
 /// Puts pairs in order, each once.
@@ -113,10 +125,10 @@ mod tests {
         fn few_and_many_regions_are_listed_alike(
             found in prop::collection::vec((1..FEW as u32, 0..FEW as u32 + 1), 0..300),
         ) {
-            let other = |b: u32| if b == NONE_BIT { NO_RETURN } else { b };
+            let other = |b: u32| if b == NONE_PLACE { NO_RETURN } else { b };
             let expected: BTreeSet<(u32, u32)> = found
                 .iter()
-                .filter(|&&(a, b)| a != b && b != 0 && b != NONE_BIT)
+                .filter(|&&(a, b)| a != b && b != 0 && b != NONE_PLACE)
                 .map(|&(a, b)| (a.min(b), a.max(b)))
                 .collect();
             let mut touching = Touching::default();
