@@ -7,14 +7,14 @@ use super::config::SegmentationConfig;
 use super::doubt::{Doubts, square};
 use super::field::Field;
 use super::fit::{
-    CAP, Columns, Fitted, Model, Packed, PlaneFit, PlaneSums, Readings, Reference, SUMMED_ERROR,
-    SUMMED_SQUARE, centroid_of, choose, fit_plane, is_flat, mean_square_distance, plane_of, settle,
-    settle_known,
+    Blocks, CAP, Columns, Fitted, Model, Packed, PlaneFit, PlaneSums, Readings, Reference,
+    SUMMED_ERROR, SUMMED_SQUARE, Unevenness, centroid_of, choose, fit_plane, is_flat,
+    mean_square_distance, plane_of, settle, settle_known,
 };
 use super::hull::HullFinder;
 use super::stick_chain::Found;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
-use super::unevenness::UnevenPlanes;
+use super::unevenness::{UnevenPlanes, common};
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use std::fmt::Write as _;
 
@@ -68,6 +68,7 @@ pub(super) struct Assembler {
     fit_gain: Vec<f32>,
     readings: Readings,
     packed: Packed,
+    blocks: Blocks,
     uneven: UnevenPlanes,
     fitted: Vec<FittedRegion>,
     /// Planes that were seen on more than two beams, and the fitted regions that were not.
@@ -91,6 +92,8 @@ struct FittedRegion {
     square_m2: Option<f64>,
     /// Whether there are readings that a plane does not explain.
     doubtful: bool,
+    /// What blocks of the readings tell of a plane.
+    unevenness: Option<Unevenness>,
 }
 
 /// What is known of labels: found by a chain, or parts of such.
@@ -287,12 +290,14 @@ impl Assembler {
             let excess = DOUBTED_EXCESS.max(4.0 * (2.0 / n).sqrt());
             let doubtful = sums.totals[SUMMED_SQUARE] > cells as f64 * (1.0 + excess);
             let centroid = centroid_of(sums);
-            FittedRegion { component, shape, centroid, square_m2: None, doubtful }
+            let unevenness = None;
+            FittedRegion { component, shape, centroid, square_m2: None, doubtful, unevenness }
         };
         if let Some(plane) = plane_of(&sums)
             && is_flat(error, cells, &plane, &config.limits, &field.errors)
         {
-            return fitted(Fitted::Plane(plane), &sums);
+            let unevenness = self.unevenness(field, &plane);
+            return FittedRegion { unevenness, ..fitted(Fitted::Plane(plane), &sums) };
         }
         if let Some(model) = model {
             let cells = self.components.cells(component);
@@ -308,7 +313,10 @@ impl Assembler {
                 // The readings' own plane is the better start.
                 let (normal, offset_m) = plane.equation();
                 let sums = self.sum_up(field, component, (normal / offset_m).into());
-                fitted(plane_of(&sums).map_or(Fitted::Other, Fitted::Plane), &sums)
+                let plane = plane_of(&sums);
+                let unevenness = plane.as_ref().and_then(|plane| self.unevenness(field, plane));
+                let shape = plane.map_or(Fitted::Other, Fitted::Plane);
+                FittedRegion { unevenness, ..fitted(shape, &sums) }
             }
             shape => {
                 let square_m2 = mean_square_distance(&self.readings, &shape);
@@ -355,16 +363,16 @@ impl Assembler {
     fn sum_up(&mut self, field: &Field, component: usize, q: [f64; 3]) -> PlaneSums {
         let cell = self.middle(component);
         let reference = Reference::new(q, field.point(cell));
-        let columns = Columns {
-            x: &field.x,
-            y: &field.y,
-            z: &field.z,
-            inverse: &field.inverse,
-            gain: &field.gain,
-            fit_gain: &self.fit_gain,
-        };
-        let runs = self.components.runs(component);
-        PlaneSums::over(reference, columns, runs, &mut self.packed)
+        let Field { x, y, z, inverse, gain, .. } = field;
+        let columns = Columns { x, y, z, inverse, gain, fit_gain: &self.fit_gain };
+        let runs = (self.components.runs(component), field.lanes);
+        self.blocks.sum_up(reference, columns, runs, &mut self.packed)
+    }
+
+    /// How uneven the component is that was summed up last, and whose plane was found.
+    fn unevenness(&self, field: &Field, plane: &PlaneFit) -> Option<Unevenness> {
+        let frame = &plane.grid_from_plane;
+        self.blocks.unevenness(frame, &common(field, frame, noise_across(field, frame)))
     }
 
     /// The shape of a component that the plane of its label does not explain.
@@ -433,7 +441,7 @@ impl Assembler {
         let inflation = field.errors.inflation;
         self.uneven.start();
         for (index, region) in self.fitted.drain(..).enumerate() {
-            let FittedRegion { component, shape, centroid, square_m2, .. } = region;
+            let FittedRegion { component, shape, centroid, square_m2, unevenness, .. } = region;
             let cells = self.components.cells(component);
             let count = self.components.sizes[component];
             let (shape, square) = match shape {
@@ -451,13 +459,7 @@ impl Assembler {
                     } else {
                         let covariance = covariance * inflation;
                         let noise_m = noise_across(field, &grid_from_plane);
-                        self.uneven.look(
-                            index,
-                            (field, &self.fit_gain),
-                            (&self.components, component),
-                            (&grid_from_plane, noise_m),
-                            &mut self.packed,
-                        );
+                        self.uneven.add(index, unevenness);
                         let plane = PlanePatch { grid_from_plane, covariance, hull, noise_m };
                         (Shape::Plane(plane), Some(square_m2))
                     }

@@ -1,8 +1,7 @@
 //! What uneven surfaces mean for the planes of a scan.
 
-use super::components::Components;
 use super::field::Field;
-use super::fit::{Blocks, Columns, Common, Packed, Unevenness};
+use super::fit::{Common, Unevenness};
 use super::surface::{PlanePatch, Shape, Surface};
 use nalgebra::{Isometry3, Vector3};
 
@@ -18,7 +17,6 @@ const FREE_RAD: f64 = 1.0;
 /// How uneven the planes of a scan are. The buffers are kept from scan to scan.
 #[derive(Clone, Debug, Default)]
 pub(super) struct UnevenPlanes {
-    blocks: Blocks,
     /// Place among the surfaces, and what blocks tell.
     planes: Vec<(usize, Option<Unevenness>)>,
     /// Unevenness and cells of planes.
@@ -31,25 +29,8 @@ impl UnevenPlanes {
         self.planes.clear();
     }
 
-    /// Looks at the plane of a component, which will be the surface at `index`; a point of it errs across
-    /// by `noise_m`.
-    pub fn look(
-        &mut self,
-        index: usize,
-        (field, fit_gain): (&Field, &[f32]),
-        (components, component): (&Components, usize),
-        (grid_from_plane, noise_m): (&Isometry3<f64>, f64),
-        packed: &mut Packed,
-    ) {
-        let common = Common {
-            patch: field.errors.patch,
-            row_share: row_share(field, grid_from_plane, noise_m),
-            rows_are_lanes: field.transposed,
-        };
-        let Field { x, y, z, inverse, gain, .. } = field;
-        let columns = Columns { x, y, z, inverse, gain, fit_gain };
-        let runs = (components.runs(component), field.lanes);
-        let found = self.blocks.unevenness(grid_from_plane, columns, runs, &common, packed);
+    /// Adds what blocks tell of the plane that will be the surface at `index`, if they tell anything.
+    pub fn add(&mut self, index: usize, found: Option<Unevenness>) {
         self.planes.push((index, found));
     }
 
@@ -81,6 +62,15 @@ impl UnevenPlanes {
             2 * below >= all
         });
         middle.map_or(0.0, |known| known.0)
+    }
+}
+
+/// What the readings on a plane have in common, a point of which errs across by `noise_m`.
+pub(super) fn common(field: &Field, grid_from_plane: &Isometry3<f64>, noise_m: f64) -> Common {
+    Common {
+        patch: field.errors.patch,
+        row_share: row_share(field, grid_from_plane, noise_m),
+        rows_are_lanes: field.transposed,
     }
 }
 

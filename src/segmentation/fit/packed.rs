@@ -1,5 +1,4 @@
-//! What is summed of the readings of a region, put end to end, so that whole vectors of them can be gone
-//! through.
+//! The readings of a region put end to end, so that whole vectors of them can be gone through.
 
 use pulp::Simd;
 
@@ -7,22 +6,25 @@ use pulp::Simd;
 const FULL: usize = 256;
 /// Most readings of a vector.
 const WIDEST: usize = 16;
+/// Room for a vector after the last one that is put before all are added up.
+const ROOM: usize = FULL + 2 * WIDEST;
 /// Numbers of a reading.
-const COLUMNS: usize = 4;
+pub(super) const COLUMNS: usize = 6;
 
-/// Runs put end to end: those of most regions are shorter than a vector, or a little longer.
+/// Runs put end to end: those of most regions are shorter than a vector, or a little longer, so that whatever
+/// is reckoned from vectors of single runs is reckoned twice as often.
 ///
 /// Columns begin where lines of the cache do, so no vector is in two of them.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
 pub(in super::super) struct Packed {
-    pub columns: [[f32; FULL + WIDEST]; COLUMNS],
+    pub columns: [[f32; ROOM]; COLUMNS],
     pub count: usize,
 }
 
 impl Default for Packed {
     fn default() -> Self {
-        Self { columns: [[0.0; FULL + WIDEST]; COLUMNS], count: 0 }
+        Self { columns: [[0.0; ROOM]; COLUMNS], count: 0 }
     }
 }
 
@@ -32,22 +34,21 @@ impl Packed {
     /// Appends the first so many of vectors; there is room for one as long as it is not full.
     #[inline(always)]
     pub fn put<S: Simd>(&mut self, _: S, vectors: [S::f32s; COLUMNS], count: usize) {
+        // That there is room is known to the caller, but not to the compiler.
+        let at = self.count.min(FULL + WIDEST);
         for (column, vector) in self.columns.iter_mut().zip(vectors) {
             // What comes after them gives way to the next.
-            let room = &mut column[self.count..self.count + S::F32_LANES];
-            S::as_mut_simd_f32s(room).0[0] = vector;
+            S::as_mut_simd_f32s(&mut column[at..at + S::F32_LANES]).0[0] = vector;
         }
-        self.count += count;
+        self.count = at + count;
     }
 
     /// Fills the last vector up with zeros and starts anew; returns how many readings, with these,
     /// are to be gone through.
     #[inline(always)]
-    pub fn fill_up(&mut self, multiple: usize) -> usize {
-        let end = self.count.next_multiple_of(multiple);
-        for column in &mut self.columns {
-            column[self.count..end].fill(0.0);
-        }
+    pub fn fill_up<S: Simd>(&mut self, simd: S) -> usize {
+        let end = self.count.next_multiple_of(S::F32_LANES);
+        self.put(simd, [simd.splat_f32s(0.0); COLUMNS], 0);
         self.count = 0;
         end
     }

@@ -4,23 +4,11 @@
 //! what the region's additive moments gave. Then the errors are small numbers and single precision
 //! holds them; a Newton step from there is exact, as the problem is linear.
 
-use super::packed::Packed;
+use super::packed::{COLUMNS, Packed};
 use super::{CAP, GATE, LEAST_COSINE};
 use nalgebra::Vector3;
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
 use std::ops::Range;
-
-/// Most readings of a vector, and ones for those that are there, zeros for those that are not.
-const WIDEST: usize = 16;
-const PRESENT: [f32; 2 * WIDEST] = {
-    let mut present = [0.0; 2 * WIDEST];
-    let mut place = 0;
-    while place < WIDEST {
-        present[place] = 1.0;
-        place += 1;
-    }
-    present
-};
 
 /// Relative error beyond which a reading's place on the plane is not followed.
 const FARTHEST: f32 = 0.5;
@@ -37,6 +25,16 @@ pub(in super::super) struct Columns<'a> {
     pub gain: &'a [f32],
     /// The same, zero for readings that a fit leaves out.
     pub fit_gain: &'a [f32],
+}
+
+impl<'a> Columns<'a> {
+    /// All of them, of one length that the compiler knows to be one.
+    #[inline(always)]
+    fn all(&self) -> ([&'a [f32]; COLUMNS], usize) {
+        let Self { x, y, z, inverse, gain, fit_gain } = *self;
+        let length = x.len();
+        ([x, y, z, inverse, gain, fit_gain].map(|column| &column[..length]), length)
+    }
 }
 
 /// A plane `q · p = 1` that errors are measured by, with a frame on it.
@@ -119,17 +117,20 @@ impl PlaneSums {
         runs: impl Iterator<Item = Range<usize>>,
         packed: &mut Packed,
     ) -> Self {
-        run(Summation::<_, true> { reference, columns, runs, packed })
+        run(Summation { reference, columns, runs, packed })
     }
 
-    /// The same without the sums that have no weights, which only a frame is told from.
-    pub fn weighted_over(
-        reference: Reference,
-        columns: Columns,
-        runs: impl Iterator<Item = Range<usize>>,
-        packed: &mut Packed,
-    ) -> Self {
-        run(Summation::<_, false> { reference, columns, runs, packed })
+    /// The sums over no readings.
+    pub fn none(reference: Reference) -> Self {
+        Self { reference, totals: [0.0; place::COUNT], readings: 0 }
+    }
+
+    /// Adds the sums over other readings, about the same plane.
+    pub fn add(&mut self, other: &Self) {
+        for (total, other) in self.totals.iter_mut().zip(other.totals) {
+            *total += other;
+        }
+        self.readings += other.readings;
     }
 
     /// The sums over few readings, in arrays of their own.
@@ -145,61 +146,41 @@ fn run<W: WithSimd>(work: W) -> W::Output {
     }
 }
 
-/// Summing over runs, for vectors of some width; `PLAIN` sums have no weights.
-struct Summation<'a, I, const PLAIN: bool> {
+/// Summing over runs, for vectors of some width.
+struct Summation<'a, I> {
     reference: Reference,
     columns: Columns<'a>,
     runs: I,
     packed: &'a mut Packed,
 }
 
-impl<I: Iterator<Item = Range<usize>>, const PLAIN: bool> WithSimd for Summation<'_, I, PLAIN> {
+impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
     type Output = PlaneSums;
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> PlaneSums {
         let Self { reference, columns, runs, packed } = self;
         let about = About::of(simd, &reference);
-        let Columns { x, y, z, inverse, gain, fit_gain } = columns;
-        let (columns, x_column) = ([x, y, z, inverse, gain, fit_gain], x);
-        let mut sums = PlaneSums { reference, totals: [0.0; place::COUNT], readings: 0 };
-        let mut own = [simd.splat_f32s(0.0); 6];
+        let (columns, length) = columns.all();
+        let mut sums = PlaneSums::none(reference);
         packed.count = 0;
         for run in runs {
             sums.readings += run.len();
-            let parts = columns.map(|column| S::as_simd_f32s(&column[run.clone()]));
-            let [x, y, z, inverse, gain, fit_gain] = parts.map(|(whole, _)| whole);
-            let whole = x.iter().zip(y).zip(z).zip(inverse).zip(gain).zip(fit_gain);
-            for (((((&x, &y), &z), &inverse), &gain), &fit_gain) in whole {
-                let readings = [x, y, z, inverse, gain, fit_gain];
-                let seen = look(simd, &about, readings, &mut own);
-                packed.put(simd, seen, S::F32_LANES);
-                if packed.count >= Packed::FULL {
-                    add_up::<_, PLAIN>(simd, packed, &mut own, &mut sums.totals);
-                }
-            }
-            let rest = run.len() % S::F32_LANES;
-            if rest > 0 {
-                // What is not of the run is no return.
-                let end = run.end - rest + S::F32_LANES;
-                let readings = if end <= x_column.len() {
-                    let present = &PRESENT[WIDEST - rest..][..S::F32_LANES];
-                    let present = S::as_simd_f32s(present).0[0];
-                    let [x, y, z, inverse, gain, fit_gain] = columns
-                        .map(|column| S::as_simd_f32s(&column[end - S::F32_LANES..end]).0[0]);
-                    let [inverse, gain, fit_gain] =
-                        [inverse, gain, fit_gain].map(|column| mul(simd, column, present));
-                    [x, y, z, inverse, gain, fit_gain]
+            let mut at = run.start;
+            while at < run.end {
+                let vectors = if at + S::F32_LANES <= length {
+                    columns.map(|column| S::as_simd_f32s(&column[at..at + S::F32_LANES]).0[0])
                 } else {
-                    parts.map(|(_, rest)| simd.partial_load_f32s(rest))
+                    columns.map(|column| simd.partial_load_f32s(&column[at..]))
                 };
-                packed.put(simd, look(simd, &about, readings, &mut own), rest);
+                packed.put(simd, vectors, (run.end - at).min(S::F32_LANES));
                 if packed.count >= Packed::FULL {
-                    add_up::<_, PLAIN>(simd, packed, &mut own, &mut sums.totals);
+                    add_up(simd, &about, packed, &mut sums.totals);
                 }
+                at += S::F32_LANES;
             }
         }
-        add_up::<_, PLAIN>(simd, packed, &mut own, &mut sums.totals);
+        add_up(simd, &about, packed, &mut sums.totals);
         sums
     }
 }
@@ -232,19 +213,30 @@ impl<V> About<V> {
     }
 }
 
-/// Adds what is packed to the totals, and what has no product with a place.
+/// Adds what is packed to the totals.
 ///
-/// There are more sums than a processor has vectors at hand, so the readings are gone through twice: for
-/// the products with weights, and for those without.
+/// There are more sums than a processor has vectors at hand, so the readings are gone through three times:
+/// for what is no product with a place, for the products with weights, and for those without.
 #[inline(always)]
-fn add_up<S: Simd, const PLAIN: bool>(
+fn add_up<S: Simd>(
     simd: S,
+    about: &About<S::f32s>,
     packed: &mut Packed,
-    own: &mut [S::f32s; 6],
     totals: &mut [f64; place::COUNT],
 ) {
-    let count = packed.fill_up(S::F32_LANES);
-    let [u, v, s, w] = &packed.columns;
+    let count = packed.fill_up(simd);
+    let mut own = [simd.splat_f32s(0.0); 6];
+    let [x, y, z, inverse, gain, fit_gain] = &mut packed.columns;
+    let [x, y, z, inverse] =
+        [x, y, z, inverse].map(|column| S::as_mut_simd_f32s(&mut column[..count]).0);
+    let [gain, fit_gain] = [gain, fit_gain].map(|column| S::as_simd_f32s(&column[..count]).0);
+    let readings = x.iter_mut().zip(y).zip(z).zip(inverse).zip(gain).zip(fit_gain);
+    for (((((x, y), z), inverse), &gain), &fit_gain) in readings {
+        // What is seen of readings takes their place.
+        let seen = look(simd, about, [*x, *y, *z, *inverse, gain, fit_gain], &mut own);
+        [*x, *y, *z, *inverse] = seen;
+    }
+    let [u, v, s, w, ..] = &packed.columns;
     let (u, v) = (S::as_simd_f32s(&u[..count]).0, S::as_simd_f32s(&v[..count]).0);
     let (s, w) = (S::as_simd_f32s(&s[..count]).0, S::as_simd_f32s(&w[..count]).0);
     let zero = simd.splat_f32s(0.0);
@@ -259,12 +251,8 @@ fn add_up<S: Simd, const PLAIN: bool>(
             totals[place] += f64::from(simd.reduce_sum_f32s(sum));
         }
     };
-    put(&place::OWN, own);
+    put(&place::OWN, &own);
     put(&place::WEIGHTED, &weighted);
-    *own = [zero; 6];
-    if !PLAIN {
-        return;
-    }
     let mut plain = [zero; 9];
     for ((&u, &v), &s) in u.iter().zip(v).zip(s) {
         plus(simd, &mut plain[0], s);

@@ -22,9 +22,8 @@ use std::ops::Range;
 const SIDE: usize = 4;
 /// How many bands and parts the test takes together: waves may be as long as a block, or longer.
 const MERGED: [(usize, usize); 4] = [(1, 1), (2, 1), (1, 2), (2, 2)];
-/// Fewest readings of a region that is divided, four in a block, and how many are enough.
+/// Fewest readings of a region that is divided, four in a block.
 const FEWEST: usize = 4 * SIDE * SIDE;
-const ENOUGH: usize = 4096;
 /// Deviations of a normal variable that one in ten thousand exceeds. A scan has ten large planes, and an
 /// even one that is called uneven is told worse than it is known.
 const SURE: f64 = 3.72;
@@ -94,59 +93,60 @@ fn ends(runs: &[Run]) -> (usize, usize) {
 }
 
 impl Blocks {
-    /// How uneven the region is whose plane was found to be `grid_from_plane`; `None` for too few readings.
+    /// The sums over a region, about a plane that is nearly its own; where it has enough readings, those over
+    /// its blocks are kept.
     ///
-    /// `runs` are its successive cells in a field so many `lanes` wide. About [`ENOUGH`] of the cells are
-    /// gone through, once.
-    pub fn unevenness(
+    /// `runs` are its successive cells in a field so many `lanes` wide.
+    pub fn sum_up(
         &mut self,
-        grid_from_plane: &Isometry3<f64>,
+        reference: Reference,
         columns: Columns,
         (runs, lanes): (impl Iterator<Item = Range<usize>> + Clone, usize),
-        common: &Common,
         packed: &mut Packed,
-    ) -> Option<Unevenness> {
-        let cells: usize = runs.clone().map(|run| run.len()).sum();
-        if cells < FEWEST {
-            return None;
-        }
-        let stride = cells.div_ceil(ENOUGH);
+    ) -> PlaneSums {
+        self.sums.clear();
         self.runs.clear();
-        self.runs.extend(runs.filter_map(|run| {
+        self.runs.extend(runs.clone().map(|run| {
             let step = run.start / lanes;
-            let lanes = (run.start - step * lanes, run.end - step * lanes);
-            step.is_multiple_of(stride).then_some(Run { step, lanes })
+            Run { step, lanes: (run.start - step * lanes, run.end - step * lanes) }
         }));
         let cells: usize = self.runs.iter().map(Run::len).sum();
         if cells < FEWEST {
-            return None;
+            return PlaneSums::over(reference, columns, runs, packed);
         }
-        let normal = grid_from_plane.rotation * Vector3::z();
-        let offset_m = normal.dot(&grid_from_plane.translation.vector);
-        let middle = self.runs[self.runs.len() / 2];
-        let middle = middle.step * lanes + middle.lanes.0;
-        let near = [columns.x[middle], columns.y[middle], columns.z[middle]].map(f64::from);
-        let reference = Reference::new((normal / offset_m).into(), near);
-        self.sum_up(reference, columns, (lanes, cells), packed);
+        self.divide(reference, columns, (lanes, cells), packed);
+        let mut all = PlaneSums::none(reference);
+        self.sums.iter().for_each(|sums| all.add(sums));
+        all
+    }
+
+    /// How uneven the region is that was summed up last, and whose plane was found to be `grid_from_plane`;
+    /// `None` for too few readings.
+    pub fn unevenness(
+        &self,
+        grid_from_plane: &Isometry3<f64>,
+        common: &Common,
+    ) -> Option<Unevenness> {
+        let reference = self.sums.first()?.reference;
+        let cells = self.sums.iter().map(|sums| sums.readings).sum();
         let rows = if common.rows_are_lanes {
             let (left, right) = ends(&self.runs);
             right - left
         } else {
-            (self.runs[self.runs.len() - 1].step - self.runs[0].step) / stride + 1
+            self.runs[self.runs.len() - 1].step - self.runs[0].step + 1
         };
         self.judge(&Axes::of(grid_from_plane, &reference), common, (cells, rows))
     }
 
     /// Divides the runs into bands of equal numbers of cells, these into parts of equal width, and sums
     /// each up.
-    fn sum_up(
+    fn divide(
         &mut self,
         reference: Reference,
         columns: Columns,
         (lanes, cells): (usize, usize),
         packed: &mut Packed,
     ) {
-        self.sums.clear();
         let (mut begin, mut taken) = (0, 0);
         for band in 1..=SIDE {
             let mut end = begin;
@@ -170,7 +170,7 @@ impl Blocks {
                     let (a, b) = (run.lanes.0.max(from), run.lanes.1.min(to));
                     (a < b).then_some(start + a..start + b)
                 });
-                self.sums.push(PlaneSums::weighted_over(reference, columns, clipped, packed));
+                self.sums.push(PlaneSums::over(reference, columns, clipped, packed));
             }
             begin = end;
         }
