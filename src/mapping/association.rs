@@ -6,6 +6,7 @@
 use super::belief::{Belief, PairRows};
 use super::innovation::Innovation;
 use super::landmark::{Landmark, carried_hull, hulls_meet};
+use super::mask::MASK_CELL_M;
 use super::observation::Observation;
 use super::shift::Shift;
 use nalgebra::{Isometry3, Matrix3x4, Point2, Vector3};
@@ -181,8 +182,7 @@ impl Question<'_> {
             || map.mask.near(&self.samples[observation], &plane_from_observed, gap)
     }
 
-    /// Whether one of two patches lies by half or more where the other one is, as far as the place within
-    /// the plane is known.
+    /// Whether one of two patches lies where the other one is, as far as the place within the plane is known.
     pub(super) fn patches_overlap(
         &self,
         belief: &Belief,
@@ -190,28 +190,27 @@ impl Question<'_> {
         plane: usize,
     ) -> bool {
         let (shift_m2, turn_rad2) = belief.spread_within(plane);
-        self.patches_cover(
-            belief,
-            observation,
-            plane,
-            self.open_m(observation, shift_m2, turn_rad2),
-        )
+        let open_m = self.open_m(observation, shift_m2, turn_rad2);
+        self.patches_overlap_within(belief, observation, plane, open_m)
     }
 
-    /// Whether one of two patches lies by half or more within `reach_m` of the other one.
-    pub(super) fn patches_cover(
+    /// The same where either may lie up to `open_m` elsewhere: wherever within that they lie some part of one
+    /// is on the other one, or half of one can be.
+    pub(super) fn patches_overlap_within(
         &self,
         belief: &Belief,
         observation: usize,
         plane: usize,
-        reach_m: f64,
+        open_m: f64,
     ) -> bool {
         let (own, others) = (&self.observations[observation].mask, &self.landmarks[plane].mask);
+        let samples = &self.samples[observation];
         let others_from_own = self.plane_from_observed(belief, observation, plane);
         own.is_empty()
             || others.is_empty()
-            || others.covers(&self.samples[observation], &others_from_own, reach_m)
-            || own.covers(&others.samples(), &others_from_own.inverse(), reach_m)
+            || others.surrounds(samples, &others_from_own, open_m + MASK_CELL_M)
+            || others.covers(samples, &others_from_own, open_m)
+            || own.covers(&others.samples(), &others_from_own.inverse(), open_m)
     }
 
     fn plane_from_observed(

@@ -57,7 +57,8 @@ impl Question<'_> {
         // First those with fewest choices. What lies beside all of them comes last: when the place within
         // the plane is known it may be something else.
         anchors.sort_by_cached_key(|(observation, fitting)| {
-            let lies_on = |&plane: &usize| self.patches_cover(belief, *observation, plane, 0.0);
+            let lies_on =
+                |&plane: &usize| self.patches_overlap_within(belief, *observation, plane, 0.0);
             (!fitting.iter().any(lies_on), fitting.len())
         });
         // Every step copies the belief: only the planes in question go along.

@@ -200,6 +200,21 @@ impl PlaneMask {
         })
     }
 
+    /// Whether any of the `samples` of another mask, carried over by `self_from_other`, lies where all cells
+    /// within `reach_m` (in each axis) are set here.
+    pub fn surrounds(
+        &self,
+        samples: &[Point2<f64>],
+        self_from_other: &Isometry3<f64>,
+        reach_m: f64,
+    ) -> bool {
+        let reach = (reach_m / MASK_CELL_M).ceil() as i32;
+        samples.iter().any(|cell| {
+            let p = self_from_other * Point3::new(cell.x, cell.y, 0.0);
+            self.solid_about(&p.xy(), reach)
+        })
+    }
+
     /// Whether half of the `samples` of another mask, carried over by `self_from_other`, or more lie
     /// within `reach_m` (in each axis) of a cell that is set here.
     pub fn covers(
@@ -334,6 +349,21 @@ mod tests {
         assert!(!a.near(&b.samples(), &Isometry3::identity(), 0.5));
         assert!(a.near(&b.samples(), &Isometry3::identity(), 0.8));
         assert!(a.near(&b.samples(), &Isometry3::translation(-0.5, 0.0, 0.0), 0.3));
+    }
+
+    #[test]
+    fn a_patch_beside_another_is_neither_covered_nor_surrounded_by_it() {
+        let (a, b) = (rectangle(0.0, 0.0, 3.0, 2.0), rectangle(3.1, 0.0, 4.6, 2.0));
+        let at = |x: f64| Isometry3::translation(x, 0.0, 0.0);
+        for open_m in [0.0, 0.2, 0.4] {
+            assert!(!a.covers(&b.samples(), &at(0.0), open_m), "{open_m}");
+            assert!(!a.surrounds(&b.samples(), &at(0.0), open_m), "{open_m}");
+        }
+        // Half of it, as far as one knows.
+        assert!(a.covers(&b.samples(), &at(-0.95), 0.0) && a.covers(&b.samples(), &at(0.0), 0.95));
+        // A strip of it, wherever within 0.2 m it lies.
+        assert!(a.surrounds(&b.samples(), &at(-0.6), 0.2));
+        assert!(!a.surrounds(&b.samples(), &at(-0.2), 0.2));
     }
 
     #[test]
