@@ -193,7 +193,12 @@ impl Full {
         }
         if large {
             estimate.associate(arrival, config, &mut plain, SLACK);
-            estimate.associate_near(arrival, config, &mut plain, LARGE_M);
+            let is_large = |found: &Assignment| {
+                found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD)
+            };
+            if plain.assignments.iter().all(is_large) {
+                estimate.associate_near(arrival, config, &mut plain, LARGE_M);
+            }
         }
         let options = |prepared: &Prepared, place: usize, log_prior: f64| -> Vec<Claim> {
             let claim = |found: &Assignment| Claim {

@@ -28,6 +28,8 @@ const ANYWHERE_RAD: f64 = 1.0;
 /// Squared Mahalanobis distance within which a motion may have gone: 99.9 % of χ² with three degrees of
 /// freedom.
 const REACH: f64 = 16.266;
+/// Pairs that a set beside the prediction may lack of the most.
+const NEAR_SLACK: usize = 1;
 /// A place this near to another is the same.
 const APART_M: f64 = 0.3;
 const APART_RAD: f64 = 0.1;
@@ -203,7 +205,8 @@ impl Estimate {
         prepared.assignments = question.search(&prepared.belief, config, slack);
     }
 
-    /// Adds the sets of pairs that fit where the robot is predicted, see [`Question::search_near`].
+    /// Adds the sets of pairs that fit where the robot is predicted, see [`Question::search_near`], if they
+    /// have nearly as many pairs as those there are: where odometry errs some few fit beside it by chance.
     pub(in crate::mapping) fn associate_near(
         &self,
         arrival: &Arrival<'_>,
@@ -214,6 +217,8 @@ impl Estimate {
         let landmarks = self.named(&prepared.planes);
         let question = prepared.question(arrival, &landmarks);
         let near = question.search_near(&prepared.belief, config, most_m);
+        let most = prepared.assignments.iter().map(|found| found.pairs.len()).max().unwrap_or(0);
+        let near = near.into_iter().filter(|near| near.pairs.len() + NEAR_SLACK >= most);
         prepared.assignments.extend(near);
     }
 
