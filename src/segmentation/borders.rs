@@ -152,8 +152,8 @@ impl Rows<'_> {
             first += PASSED;
         }
         cells.extend_from_slice(&listed[..count]);
+        leads[first..bottom].fill(UNKNOWN);
         for cell in first..bottom {
-            leads[cell] = UNKNOWN;
             self.list_rim(cell..cell + 1, &[cell - width, cell + width], cells);
         }
     }
