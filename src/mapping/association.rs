@@ -194,8 +194,8 @@ impl Question<'_> {
         self.patches_overlap_within(belief, observation, plane, open_m)
     }
 
-    /// The same where either may lie up to `open_m` elsewhere: wherever within that they lie some part of one
-    /// is on the other one, or half of one can be.
+    /// The same where either may lie up to `open_m` elsewhere: where they are believed to be some part of one
+    /// is well within the other one, or half of one can be.
     pub(super) fn patches_overlap_within(
         &self,
         belief: &Belief,
@@ -208,7 +208,7 @@ impl Question<'_> {
         let others_from_own = self.plane_from_observed(belief, observation, plane);
         own.is_empty()
             || others.is_empty()
-            || others.surrounds(samples, &others_from_own, open_m + MASK_CELL_M)
+            || others.surrounds(samples, &others_from_own, MASK_CELL_M)
             || others.covers(samples, &others_from_own, open_m)
             || own.covers(&others.samples(), &others_from_own.inverse(), open_m)
     }
