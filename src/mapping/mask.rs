@@ -13,8 +13,6 @@ const ONE_CELL: f64 = (1 << CELL_BITS) as f64;
 const NEAR_SAMPLES: usize = 200;
 /// The same where only half of it is asked for.
 const COVER_SAMPLES: usize = 40;
-/// The same where any one will do.
-const SURROUND_SAMPLES: usize = 100;
 
 /// Which cells of a plane were hit: a bit per 0.1 m square of its local x-y plane.
 ///
@@ -211,8 +209,7 @@ impl PlaneMask {
         reach_m: f64,
     ) -> bool {
         let reach = (reach_m / MASK_CELL_M).ceil() as i32;
-        let mut looked_at = samples.iter().step_by(samples.len().div_ceil(SURROUND_SAMPLES).max(1));
-        looked_at.any(|cell| {
+        samples.iter().any(|cell| {
             let p = (self_from_other * Point3::new(cell.x, cell.y, 0.0)).xy();
             self.contains(&p) && self.solid_about(&p, reach)
         })
