@@ -283,7 +283,7 @@ impl Estimate {
         joint.fixed_columns_mut::<6>(6).copy_from(&columns);
         let mut on_pose = joint.fixed_view_mut::<6, 6>(6, 6);
         on_pose += f_u * motion_covariance * f_u.transpose();
-        let joint = beside(&before, predicted, &frames, &joint);
+        let joint = beside(&before, predicted, &frames, &joint, arrival.attitude.is_some());
         Belief::new(*predicted, frames, &joint, arrival.scan.errors.any())
     }
 }
