@@ -141,6 +141,7 @@ impl Full {
         branches.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
         let best = branches[0].log_weight;
         branches.retain(|branch| branch.log_weight > best - DEAD);
+        keep_one_per_place(&mut branches);
         branches.truncate(MOST_HYPOTHESES);
         self.follow(&arrival, &prepared, &branches)
     }
@@ -402,6 +403,20 @@ const TOLD_RAD: f64 = 0.005;
 fn moves_far(a: &Isometry3<f64>, b: &Isometry3<f64>, far_m: f64, far_rad: f64) -> bool {
     let gap = pose_error(a, b);
     gap.fixed_rows::<3>(0).norm() > far_m || gap.fixed_rows::<3>(3).norm() > far_rad
+}
+
+/// Of the ways to go on from one explanation that put the robot in one place the first: to take in all of
+/// them would copy the map to find out that they are one.
+fn keep_one_per_place(branches: &mut Vec<Branch>) {
+    let mut places: Vec<(usize, Isometry3<f64>)> = Vec::new();
+    branches.retain(|branch| {
+        let place = branch.assignment.belief.world_from_robot;
+        let known = places.iter().any(|(parent, other)| {
+            *parent == branch.parent && !moves_far(other, &place, SAME_M, SAME_RAD)
+        });
+        places.extend((!known).then_some((branch.parent, place)));
+        !known
+    });
 }
 
 /// Explanations that have the robot carried elsewhere stay behind those that follow odometry until what

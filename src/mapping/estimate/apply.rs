@@ -12,6 +12,7 @@ use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{perturbed_pose, pose_error};
 use crate::mapping::report::{Addition, Association, RefusalReason, UpdateReport};
 use nalgebra::{Isometry3, Matrix3x4, Matrix6, Vector6};
+use std::sync::Arc;
 
 /// Most planes that one scan may bring in, the largest first: all of a scan's planes are tied to one
 /// pose, and what a thousand slivers add does not pay for a joint covariance of three thousand rows.
@@ -153,7 +154,7 @@ impl Estimate {
             index,
             landmark,
             factor,
-            observation: observation.clone(),
+            observation: Arc::new(observation.clone()),
             drawn: None,
         });
     }

@@ -22,6 +22,7 @@ use candidates::Led;
 use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point2, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Standard deviations with which an exact first pose enters: small beside any measurement, large
 /// beside rounding.
@@ -69,7 +70,8 @@ struct Sighting {
     index: usize,
     landmark: LandmarkId,
     factor: FactorId,
-    observation: Observation,
+    /// Shared by all explanations that know it.
+    observation: Arc<Observation>,
     /// Where the patch lay in the landmark's frame when it was drawn into its extent; `None` before.
     drawn: Option<Isometry3<f64>>,
 }
@@ -222,7 +224,7 @@ impl Estimate {
         keyframe: usize,
     ) -> impl Iterator<Item = (LandmarkId, &Observation)> {
         let found = self.keyframes.get(keyframe).map(|keyframe| &keyframe.sightings);
-        found.into_iter().flatten().map(|sighting| (sighting.landmark, &sighting.observation))
+        found.into_iter().flatten().map(|sighting| (sighting.landmark, &*sighting.observation))
     }
 
     /// Poses at all scans.
