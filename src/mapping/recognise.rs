@@ -213,11 +213,16 @@ impl Planes {
 
     /// Calls `emit` with each place where `a` and `b` of a scan fit two landmarks.
     fn places(&self, a: &Upright, b: &Upright, mut emit: impl FnMut(Place)) {
+        let apart_m = (b.middle - a.middle).norm() + 2.0 * BEYOND_M;
         for first in self.upright.iter().filter(|first| (first.rise - a.rise).abs() < RISE) {
             let turn_rad = wrap_pi(first.azimuth_rad - a.azimuth_rad);
             let turn = nalgebra::Rotation2::new(turn_rad);
             for second in self.facing(b.azimuth_rad + turn_rad) {
-                if (second.rise - b.rise).abs() >= RISE {
+                // Landmarks too far apart for both to be seen are most of a large map.
+                let most_m = apart_m + first.half_length_m + second.half_length_m;
+                if (second.middle - first.middle).norm_squared() > most_m * most_m
+                    || (second.rise - b.rise).abs() >= RISE
+                {
                     continue;
                 }
                 // n · (turn p + at) = offset for both.

@@ -4,6 +4,9 @@ use super::{Graph, Key};
 use nalgebra::DMatrix;
 use std::collections::BTreeMap;
 
+/// Rows of sides that are multiplied at once.
+const GATHERED: usize = 192;
+
 /// A right-hand side on its way to the root: of the selection's columns those that are not zero in a
 /// clique. Far from the root these are the few of the variables below it.
 struct Side {
@@ -45,6 +48,55 @@ impl Side {
     }
 }
 
+/// The sum of `sideᵀ side` over all sides. Those of many columns, which all are near the root, are gathered and
+/// multiplied in one go.
+struct Squares {
+    whole: DMatrix<f64>,
+    /// A column for each row of a side.
+    gathered: DMatrix<f64>,
+    filled: usize,
+}
+
+impl Squares {
+    fn new(columns: usize) -> Self {
+        Self {
+            whole: DMatrix::zeros(columns, columns),
+            gathered: DMatrix::zeros(columns, GATHERED),
+            filled: 0,
+        }
+    }
+
+    fn add(&mut self, side: &Side) {
+        let rows = side.matrix.nrows();
+        if 2 * side.columns.len() < self.whole.ncols() || rows > GATHERED {
+            side.add_square(&mut self.whole);
+            return;
+        }
+        if self.filled + rows > GATHERED {
+            self.multiply();
+        }
+        for (&column, values) in side.columns.iter().zip(side.matrix.column_iter()) {
+            let mut target = self.gathered.row_mut(column);
+            target.columns_mut(self.filled, rows).tr_copy_from(&values);
+        }
+        self.filled += rows;
+    }
+
+    fn multiply(&mut self) {
+        let gathered = self.gathered.columns(0, self.filled);
+        self.whole.gemm(1.0, &gathered, &gathered.transpose(), 1.0);
+        self.gathered.columns_mut(0, self.filled).fill(0.0);
+        self.filled = 0;
+    }
+
+    /// The sum: of what was added narrowly only the lower triangle is there.
+    fn finish(mut self) -> DMatrix<f64> {
+        self.multiply();
+        self.whole.fill_upper_triangle_with_lower_triangle();
+        self.whole
+    }
+}
+
 impl Graph {
     /// Joint covariance of variables, in the order given, each with its own dimension.
     ///
@@ -55,7 +107,7 @@ impl Graph {
     pub fn covariance(&self, keys: &[Key]) -> DMatrix<f64> {
         let dimension = |key: &Key| self.variables[key.0 as usize].dimension();
         let columns: usize = keys.iter().map(dimension).sum();
-        let mut covariance = DMatrix::zeros(columns, columns);
+        let mut squares = Squares::new(columns);
         // Right-hand sides of the cliques still to come, deepest first.
         let mut waiting: BTreeMap<(std::cmp::Reverse<usize>, usize), Side> = BTreeMap::new();
         let mut depths: BTreeMap<usize, usize> = BTreeMap::new();
@@ -85,7 +137,7 @@ impl Graph {
             let solved =
                 clique.columns.rows(0, frontal).solve_lower_triangular_mut(&mut side.matrix);
             debug_assert!(solved, "pivots are positive after elimination");
-            side.add_square(&mut covariance);
+            squares.add(&side);
             let rest = clique.columns.nrows() - 1 - frontal;
             if rest == 0 {
                 continue;
@@ -93,11 +145,7 @@ impl Graph {
             let below = clique.columns.rows(frontal, rest) * &side.matrix;
             self.pass_up(slot, &side.columns, &below, &mut waiting, &mut depths);
         }
-        for i in 0..columns {
-            for j in 0..i {
-                covariance[(j, i)] = covariance[(i, j)];
-            }
-        }
+        let mut covariance = squares.finish();
         for index in outside {
             covariance.row_mut(index).fill(f64::NAN);
             covariance.column_mut(index).fill(f64::NAN);
