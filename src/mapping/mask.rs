@@ -296,11 +296,11 @@ impl Window {
 }
 
 /// Ones from bit `first` up to but not including `end`, which is greater.
-pub(super) fn ones(first: i32, end: i32) -> u64 {
+fn ones(first: i32, end: i32) -> u64 {
     (u64::MAX >> (64 - (end - first))) << first
 }
 
-pub(super) fn centre(x: i32, y: i32) -> (f64, f64) {
+fn centre(x: i32, y: i32) -> (f64, f64) {
     ((f64::from(x) + 0.5) * MASK_CELL_M, (f64::from(y) + 0.5) * MASK_CELL_M)
 }
 
@@ -325,9 +325,11 @@ mod tests {
         };
         for (left, right) in pieces(x0, x1) {
             for (low, high) in pieces(y0, y1) {
+                let corners = [(left, low), (right, low), (right, high), (left, high)];
                 builder.insert_quadrilateral(
-                    &[(left, low), (right, low), (right, high), (left, high)]
-                        .map(|(x, y)| Spot::new(Point2::new(x, y))),
+                    &corners.map(|(x, y)| {
+                        Spot::new(Point2::new(x, y) / MASK_CELL_M + builder.origin())
+                    }),
                 );
             }
         }
@@ -345,7 +347,7 @@ mod tests {
 
     #[test]
     fn near_reaches_as_far_as_told() {
-        let (a, b) = (rectangle(0.0, 0.0, 1.0, 1.0), rectangle(1.75, 0.0, 2.5, 1.0));
+        let (a, b) = (rectangle(0.0, 0.0, 1.0, 1.0), rectangle(1.74, 0.0, 2.5, 1.0));
         assert!(!a.near(&b.samples(), &Isometry3::identity(), 0.5));
         assert!(a.near(&b.samples(), &Isometry3::identity(), 0.8));
         assert!(a.near(&b.samples(), &Isometry3::translation(-0.5, 0.0, 0.0), 0.3));

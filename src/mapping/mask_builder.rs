@@ -1,13 +1,11 @@
 //! Filling a mask from the points of a scan.
 
-use super::mask::{PlaneMask, TILE, cell_of, centre, ones};
-use nalgebra::Point2;
+use super::mask::{MASK_CELL_M, PlaneMask, TILE, cell_of};
+use nalgebra::{Point2, Vector2};
 
 /// Neighbouring points farther apart than this have not shown what lies between them: at grazing
 /// incidence a doorway fits there.
 const LONGEST_SPAN_M: f64 = 0.6;
-/// Cells that such points may lie apart in either axis, at most.
-const MOST_SPAN: i32 = 7;
 /// No scanner sees a longer surface.
 const LONGEST_EXTENT_M: f64 = 400.0;
 
@@ -40,55 +38,55 @@ impl MaskBuilder {
         Some(Self { first_tile, size, stride, words: vec![0; stride * (size.1 * TILE) as usize] })
     }
 
-    /// Column and row of a cell; `None` outside.
-    fn place(&self, (x, y): (i32, i32)) -> Option<(usize, usize)> {
-        let column = x - self.first_tile.0 * TILE;
-        let row = y - self.first_tile.1 * TILE;
-        let inside =
-            (0..self.size.0 * TILE).contains(&column) && (0..self.size.1 * TILE).contains(&row);
-        inside.then_some((column as usize, row as usize))
+    /// Where the plane's origin lies, in cells from the builder's first corner.
+    pub(super) fn origin(&self) -> Vector2<f64> {
+        -Vector2::new(f64::from(self.first_tile.0 * TILE), f64::from(self.first_tile.1 * TILE))
+    }
+
+    /// Whether a cell lies inside. The first ones lie in the tile to spare, and whatever lies beyond them
+    /// was taken for one of them.
+    fn holds(&self, (column, row): (u32, u32)) -> bool {
+        column.wrapping_sub(1) < (self.size.0 * TILE - 1) as u32
+            && row.wrapping_sub(1) < (self.size.1 * TILE - 1) as u32
     }
 
     /// Sets the cell of a point of the plane.
     pub(super) fn insert(&mut self, spot: &Spot) {
-        if let Some((column, row)) = self.place(spot.cell) {
+        if self.holds(spot.cell) {
+            let (column, row) = (spot.cell.0 as usize, spot.cell.1 as usize);
             self.words[row * self.stride + column / 64] |= 1 << (column % 64);
         }
     }
 
-    /// Sets the cells whose centre lies in the quadrilateral of four neighbouring points, whose own
-    /// cells are set already.
+    /// Sets the cells whose centre lies in the quadrilateral of four neighbouring points.
     pub(super) fn insert_quadrilateral(&mut self, corners: &[Spot; 4]) {
-        let [a, b, c, d] = corners;
-        let ((ax, ay), (bx, by)) = (a.cell, b.cell);
-        let ((cx, cy), (dx, dy)) = (c.cell, d.cell);
-        let from = (ax.min(bx).min(cx.min(dx)), ay.min(by).min(cy.min(dy)));
-        let to = (ax.max(bx).max(cx.max(dx)), ay.max(by).max(cy.max(dy)));
-        // Corners in one cell or in cells side by side leave nothing between them, and those too far
-        // apart for their cells are too far apart.
-        let (wide, high) = (to.0 - from.0, to.1 - from.1);
-        if wide + high <= 1 || wide.max(high) > MOST_SPAN {
+        let [a, b, c, d] = corners.map(|corner| corner.at);
+        let least = |a: f64, b: f64| if a < b { a } else { b };
+        let most = |a: f64, b: f64| if a > b { a } else { b };
+        let spread = |a: f64, b: f64, c: f64, d: f64| {
+            (least(least(a, b), least(c, d)), most(most(a, b), most(c, d)))
+        };
+        let (left, right) = spread(a.x, b.x, c.x, d.x);
+        let (low, high) = spread(a.y, b.y, c.y, d.y);
+        // Points closer to each other than cells are wide seldom have a centre between them.
+        let (first_column, end_column) = ((left + 0.5) as u32, (right + 0.5) as u32);
+        let (first_row, end_row) = ((low + 0.5) as u32, (high + 0.5) as u32);
+        if first_column >= end_column
+            || first_row >= end_row
+            || (right - left).max(high - low) > LONGEST_SPAN_M / MASK_CELL_M
+            || !self.holds((first_column, first_row))
+            || !self.holds((end_column - 1, end_row - 1))
+        {
             return;
         }
-        let (Some((column, row)), Some(_)) = (self.place(from), self.place(to)) else { return };
-        let mut quadrilateral = None;
-        for step in 0..=high {
-            let at = (row + step as usize) * self.stride + column / 64;
-            let shift = column % 64;
-            let mut bits = self.words[at] >> shift;
-            if shift + wide as usize >= 64 {
-                bits |= self.words[at + 1] << (64 - shift);
-            }
-            // Most are set: by their own points, or by the quadrilateral before.
-            let mut missing = !bits & ones(0, wide + 1);
-            while missing != 0 {
-                let bit = missing.trailing_zeros() as usize;
-                missing &= missing - 1;
-                let shape = quadrilateral.get_or_insert_with(|| Quadrilateral::new(corners));
-                if shape.contains(centre(from.0 + bit as i32, from.1 + step)) {
-                    let column = column + bit;
-                    self.words[(row + step as usize) * self.stride + column / 64] |=
-                        1 << (column % 64);
+        let triangles = [Triangle::new(a, b, c), Triangle::new(a, c, d)];
+        for row in first_row..end_row {
+            for column in first_column..end_column {
+                let word = &mut self.words[row as usize * self.stride + column as usize / 64];
+                let bit = 1 << (column % 64);
+                let centre = (f64::from(column) + 0.5, f64::from(row) + 0.5);
+                if *word & bit == 0 && triangles.iter().any(|triangle| triangle.contains(centre)) {
+                    *word |= bit;
                 }
             }
         }
@@ -115,40 +113,17 @@ impl MaskBuilder {
     }
 }
 
-/// A point of a plane, and the cell that holds it.
-#[derive(Clone, Copy, Debug)]
+/// A point of a plane in cells from its builder's first corner, and the cell that holds it.
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Spot {
     at: Point2<f64>,
-    cell: (i32, i32),
+    cell: (u32, u32),
 }
 
 impl Spot {
+    /// From coordinates in cells; what is negative or no number comes to lie in the builder's first cells.
     pub(super) fn new(at: Point2<f64>) -> Self {
-        Self { at, cell: (cell_of(at.x), cell_of(at.y)) }
-    }
-}
-
-/// The area of four neighbouring points; none where they lie too far apart.
-struct Quadrilateral {
-    low: Point2<f64>,
-    high: Point2<f64>,
-    near: bool,
-    triangles: [Triangle; 2],
-}
-
-impl Quadrilateral {
-    fn new([a, b, c, d]: &[Spot; 4]) -> Self {
-        let low = a.at.inf(&b.at).inf(&c.at.inf(&d.at));
-        let high = a.at.sup(&b.at).sup(&c.at.sup(&d.at));
-        let near = high.x - low.x <= LONGEST_SPAN_M && high.y - low.y <= LONGEST_SPAN_M;
-        let triangles = [Triangle::new(a.at, b.at, c.at), Triangle::new(a.at, c.at, d.at)];
-        Self { low, high, near, triangles }
-    }
-
-    fn contains(&self, (x, y): (f64, f64)) -> bool {
-        self.near
-            && (self.low.x <= x && x <= self.high.x && self.low.y <= y && y <= self.high.y)
-            && (self.triangles[0].contains((x, y)) || self.triangles[1].contains((x, y)))
+        Self { at, cell: (at.x as u32, at.y as u32) }
     }
 }
 
@@ -183,11 +158,17 @@ mod tests {
     fn a_builder_takes_points_outside_its_extent_for_nothing() {
         let mut builder =
             MaskBuilder::over(&[Point2::new(0.0, 0.0), Point2::new(1.0, 1.0)]).unwrap();
-        for p in [Point2::new(0.55, 0.25), Point2::new(-300.0, 0.0), Point2::new(f64::NAN, 1e9)] {
-            builder.insert(&Spot::new(p));
+        for p in [
+            Point2::new(0.55, 0.25),
+            Point2::new(-300.0, 0.0),
+            Point2::new(0.0, 1e12),
+            Point2::new(f64::NAN, 0.5),
+        ] {
+            let spot = Spot::new(p / MASK_CELL_M + builder.origin());
+            builder.insert(&spot);
         }
         let mask = builder.finish();
-        assert!(mask.contains(&Point2::new(0.55, 0.25)) && mask.count() <= 2);
+        assert!(mask.contains(&Point2::new(0.55, 0.25)) && mask.count() == 1);
         assert!(MaskBuilder::over(&[Point2::new(0.0, 0.0), Point2::new(1e9, 0.0)]).is_none());
     }
 }

@@ -1,11 +1,11 @@
-use super::mask::PlaneMask;
+use super::mask::{MASK_CELL_M, PlaneMask};
 use super::mask_builder::{MaskBuilder, Spot};
 use super::rounding_errors::RoundingErrors;
 use super::row_errors::RowErrors;
 use crate::geometry::{Plane, polygon_area};
 use crate::scan::PointGrid;
 use crate::segmentation::{PlanePatch, Segmentation, Shape, Surface};
-use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// One planar patch as the robot saw it.
@@ -100,40 +100,37 @@ pub fn observations(
     let slots = slots_by_label(segmentation);
     let sigmas_rad = grid.row_sigmas_rad();
     let (rows, columns) = (segmentation.rows, segmentation.columns);
-    // Local coordinates of the row above and of this one; neighbours of one label in both rows and
-    // columns span a piece that was seen as a whole.
-    let mut above: Vec<Option<(usize, Spot)>> = vec![None; columns];
+    // The row above and this one: the patch of each cell, if it is of one, and where in it; neighbours of one
+    // patch in both rows and columns span a piece that was seen as a whole.
+    let mut above = vec![(NO_SLOT, Spot::default()); columns];
     let mut here = above.clone();
     let mut rounding_errors = grid.rounding().map(|known| RoundingErrors::new(known, columns));
     for row in 0..rows {
-        here.fill(None);
+        let mut left = NO_SLOT;
         for column in 0..columns {
             let label = usize::from(segmentation.labels[row * columns + column]);
-            let Some(slot) = slots.get(label).copied().flatten() else { continue };
-            let Some((_, painter)) = &mut found[slot] else { continue };
-            let Some(point) = grid.point(row, column) else { continue };
-            let local = painter.place(&point);
-            let spot = Spot::new(local);
+            let slot = slots.get(label).copied().unwrap_or(NO_SLOT);
+            let seen = found.get_mut(slot).and_then(Option::as_mut).zip(grid.point(row, column));
+            let Some(((_, painter), point)) = seen else {
+                here[column].0 = NO_SLOT;
+                left = NO_SLOT;
+                continue;
+            };
+            let spot = painter.spot(&point);
             painter.builder.insert(&spot);
             if rounding_errors.is_some() || !sigmas_rad.is_empty() {
                 let sigma_rad = sigmas_rad.get(row).map_or(0.0, |&sigma_rad| f64::from(sigma_rad));
-                let pull = painter.rows.add(row, sigma_rad, &point, &local);
+                let pull = painter.rows.add(row, sigma_rad, &point, &painter.place(&point));
                 if let Some(rounding_errors) = &mut rounding_errors {
                     rounding_errors.add((row, column), slot, pull * painter.slope(&point));
                 }
             }
-            here[column] = Some((slot, spot));
-            if column == 0 {
-                continue;
+            here[column] = (slot, spot);
+            if left == slot && above[column].0 == slot && above[column - 1].0 == slot {
+                let corners = [above[column - 1].1, above[column].1, spot, here[column - 1].1];
+                painter.builder.insert_quadrilateral(&corners);
             }
-            if let (Some((a, p)), Some((b, q)), Some((c, r))) =
-                (above[column - 1], above[column], here[column - 1])
-                && a == slot
-                && b == slot
-                && c == slot
-            {
-                painter.builder.insert_quadrilateral(&[p, q, spot, r]);
-            }
+            left = slot;
         }
         std::mem::swap(&mut above, &mut here);
     }
@@ -147,11 +144,17 @@ pub fn observations(
     found.into_iter().enumerate().filter_map(with_errors).collect()
 }
 
+/// The slot of a cell that is of no patch.
+const NO_SLOT: usize = usize::MAX;
+
 /// Carries points into a patch's frame and marks the cells they hit.
 struct Painter {
     /// The frame's x and y axes and its origin, in the grid's frame.
     axes: [Vector3<f64>; 2],
     origin: Vector3<f64>,
+    /// The grid's axes and origin in cells of the mask.
+    cells_from_grid: [Vector3<f64>; 2],
+    cells_at_grid: Vector2<f64>,
     builder: MaskBuilder,
     rows: RowErrors,
 }
@@ -160,11 +163,18 @@ impl Painter {
     fn new(surface: &Surface) -> Option<Self> {
         let Shape::Plane(patch) = &surface.shape else { return None };
         let rotation = patch.grid_from_plane.rotation;
+        let axes = [rotation * Vector3::x(), rotation * Vector3::y()];
+        let origin = patch.grid_from_plane.translation.vector;
+        let builder = MaskBuilder::over(&patch.hull)?;
+        let cells_from_grid = axes.map(|axis| axis / MASK_CELL_M);
+        let [u, v] = cells_from_grid.map(|axis| axis.dot(&origin));
         Some(Self {
             rows: RowErrors::new(rotation * Vector3::z(), patch.noise_m),
-            axes: [rotation * Vector3::x(), rotation * Vector3::y()],
-            origin: patch.grid_from_plane.translation.vector,
-            builder: MaskBuilder::over(&patch.hull)?,
+            axes,
+            origin,
+            cells_from_grid,
+            cells_at_grid: builder.origin() - Vector2::new(u, v),
+            builder,
         })
     }
 
@@ -174,6 +184,12 @@ impl Painter {
         x.cross(&y).dot(&point.coords) / point.coords.norm()
     }
 
+    fn spot(&self, point: &Point3<f64>) -> Spot {
+        let [u, v] = &self.cells_from_grid;
+        let from_grid = Vector2::new(u.dot(&point.coords), v.dot(&point.coords));
+        Spot::new((from_grid + self.cells_at_grid).into())
+    }
+
     fn place(&self, point: &Point3<f64>) -> Point2<f64> {
         let from = point.coords - self.origin;
         Point2::new(self.axes[0].dot(&from), self.axes[1].dot(&from))
@@ -181,12 +197,12 @@ impl Painter {
 }
 
 /// Position in `surfaces` of each label; label 0 is none.
-fn slots_by_label(segmentation: &Segmentation) -> Vec<Option<usize>> {
+fn slots_by_label(segmentation: &Segmentation) -> Vec<usize> {
     let highest = segmentation.surfaces.iter().map(|surface| surface.id).max().unwrap_or(0);
-    let mut slots = vec![None; usize::from(highest) + 1];
+    let mut slots = vec![NO_SLOT; usize::from(highest) + 1];
     for (slot, surface) in segmentation.surfaces.iter().enumerate() {
-        slots[usize::from(surface.id)] = Some(slot);
+        slots[usize::from(surface.id)] = slot;
     }
-    slots[0] = None;
+    slots[0] = NO_SLOT;
     slots
 }
