@@ -366,14 +366,15 @@ impl Belief {
     }
 }
 
-/// Takes `left factorsᵀ` of each product off a square matrix of `size` rows, column by column while that
-/// is at hand, and makes what is left symmetric.
+/// Takes `left factorsᵀ` of each product, whose sum is symmetric, off a symmetric matrix of `size` rows:
+/// below the diagonal, column by column while that is at hand, and mirrored.
 fn subtract_products(matrix: &mut [f64], size: usize, products: &[(&[f64], &[f64])]) {
     for (j, column) in matrix.chunks_exact_mut(size).enumerate() {
+        let column = &mut column[j..];
         for (left, factors) in products {
             for (left, factors) in left.chunks_exact(size).zip(factors.chunks_exact(size)) {
                 let factor = factors[j];
-                for (entry, left) in column.iter_mut().zip(left) {
+                for (entry, left) in column.iter_mut().zip(&left[j..]) {
                     *entry -= left * factor;
                 }
             }
@@ -381,9 +382,7 @@ fn subtract_products(matrix: &mut [f64], size: usize, products: &[(&[f64], &[f64
     }
     for column in 0..size {
         for row in 0..column {
-            let (upper, lower) = (column * size + row, row * size + column);
-            let mean = 0.5 * (matrix[upper] + matrix[lower]);
-            (matrix[upper], matrix[lower]) = (mean, mean);
+            matrix[column * size + row] = matrix[row * size + column];
         }
     }
 }

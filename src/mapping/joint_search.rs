@@ -22,6 +22,8 @@ use std::rc::Rc;
 const APART_RAD: f64 = 0.03;
 /// The same for the height: a kerb is this much higher than the floor beside it.
 const APART_UP_M: f64 = 0.03;
+/// Standard deviations to either side that a belief leaves.
+const ONE_PLACE_SIGMAS: f64 = 3.0;
 /// Most assignments that are handed back.
 const MOST_ASSIGNMENTS: usize = 4;
 /// Area beside which others facing the same way add little, in m².
@@ -78,6 +80,7 @@ impl Question<'_> {
             slack,
             trials: 0,
             most: 0,
+            most_here: None,
             found: Vec::new(),
         };
         search.descend(0, Set::none(Node::new(belief.among(&planes), &anchors)));
@@ -184,6 +187,17 @@ fn most_telling(
     chosen
 }
 
+/// Whether all places that a belief leaves are nearer to each other than those that are told apart.
+fn is_one_place(belief: &Belief) -> bool {
+    let sigma = |components: std::ops::Range<usize>| {
+        components.map(|component| belief.pose_variance(component)).sum::<f64>().max(0.0).sqrt()
+    };
+    let within = |sigma: f64, apart: f64| 2.0 * ONE_PLACE_SIGMAS * sigma < apart;
+    within(sigma(0..2), APART_M)
+        && within(sigma(2..3), APART_UP_M)
+        && within(sigma(3..6), APART_RAD)
+}
+
 /// How a pair fits: what it adds to a set's score and support beside its squared distance.
 #[derive(Clone, Copy, Debug)]
 struct Fit {
@@ -196,6 +210,8 @@ struct Fit {
 struct Node {
     belief: Belief,
     settled: bool,
+    /// Whether further pairs cannot put the robot apart from where others would.
+    one_place: bool,
     /// By anchor and by its planes: whether that pair fits, once it was asked.
     known: RefCell<Vec<Vec<Option<Option<Fit>>>>>,
 }
@@ -203,7 +219,12 @@ struct Node {
 impl Node {
     fn new(belief: Belief, anchors: &[(usize, Vec<usize>)]) -> Rc<Self> {
         let known = anchors.iter().map(|(_, planes)| vec![None; planes.len()]).collect();
-        Rc::new(Self { settled: settled(&belief), belief, known: RefCell::new(known) })
+        Rc::new(Self {
+            settled: settled(&belief),
+            one_place: is_one_place(&belief),
+            belief,
+            known: RefCell::new(known),
+        })
     }
 }
 
@@ -245,6 +266,8 @@ struct Search<'a> {
     trials: usize,
     /// Pairs of the largest set so far.
     most: usize,
+    /// The same among the sets below a belief that leaves one place only.
+    most_here: Option<usize>,
     /// The best set of each place.
     found: Vec<Set>,
 }
@@ -254,7 +277,19 @@ impl Search<'_> {
         let reachable = so_far.pairs.len() + self.anchors.len() - depth;
         // The first descent always ends: only alternatives to it are given up.
         let given_up = self.trials > self.config.max_trials && !self.found.is_empty();
-        if reachable + self.slack < self.most || given_up {
+        let lags = self.most_here.is_some_and(|most| reachable < most);
+        if reachable + self.slack < self.most || lags || given_up {
+            return;
+        }
+        if self.most_here.is_none() && so_far.node.one_place {
+            // All sets below put the robot there: those with fewer pairs than others there say nothing else.
+            let is_known =
+                |known: &Set| known.pairs.len() >= reachable && !known.apart_from(&so_far);
+            if !self.found.iter().any(is_known) {
+                self.most_here = Some(0);
+                self.descend(depth, so_far);
+                self.most_here = None;
+            }
             return;
         }
         let Some((observation, planes)) = self.anchors.get(depth) else {
@@ -315,6 +350,7 @@ impl Search<'_> {
     /// Keeps a set when it is the best of its place.
     fn file(&mut self, set: Set) {
         self.most = self.most.max(set.pairs.len());
+        self.most_here = self.most_here.map(|most| most.max(set.pairs.len()));
         match self.found.iter_mut().find(|known| !known.apart_from(&set)) {
             Some(known) if known.score >= set.score => {}
             Some(known) => *known = set,
