@@ -172,6 +172,7 @@ fn table(folders: &[&Path], scores: &[Evaluation]) -> String {
     row("associations right / wrong", &|score| {
         score.associations.map(|a| format!("{} / {}", a.right, a.wrong))
     });
+    row("surfaces mapped twice", &|score| score.associations.map(|a| a.doubled.to_string()));
     row("falls", &|score| score.falls.map(|v| v.to_string()));
     row("collisions", &|score| score.collisions.map(|v| v.to_string()));
     row("victims found", &|score| score.victims_found.map(|v| v.to_string()));

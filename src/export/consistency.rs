@@ -1,13 +1,14 @@
 //! Whether a map knows how wrong it is: keyframes against the truth. Nothing here reaches an agent.
 
-use super::evaluate::{UnderPatch, true_surface};
+use super::evaluate::{Patch, UnderPatch, true_surface};
 use super::keyframes::Keyframe;
 use super::score::{at, settled_s};
 use super::truth_steps::Steps;
 use super::tum::TimedPose;
+use crate::geometry::{contains_point, convex_hull};
 use crate::mapping::perturbation::pose_error;
 use crate::sim::World;
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point2, Point3, Unit, Vector3};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -47,6 +48,9 @@ pub struct Associations {
     pub wrong: usize,
     /// Sightings that lie on no surface of the world, such as bodies and patches over an edge.
     pub unknown: usize,
+    /// Landmarks of which some sighting lies where a landmark with a lower number was seen: one surface
+    /// taken for two.
+    pub doubled: usize,
 }
 
 /// NEES of the keyframes; `None` without truth or covariances. `steps` are what the truth was rounded to: a
@@ -88,6 +92,7 @@ pub fn associations(
         world.map_or((SEEN_ALIKE_M, SEEN_ALIKE_RAD), |_| (SAME_PLANE_M, SAME_PLANE_RAD));
     let pose_at = true_poses(truth)?;
     let mut surfaces: BTreeMap<u32, Vec<UnderPatch>> = BTreeMap::new();
+    let mut outlines: BTreeMap<u32, Vec<Outline>> = BTreeMap::new();
     let mut score = Associations::default();
     for keyframe in keyframes {
         let Some(pose) = pose_at(keyframe) else { continue };
@@ -102,7 +107,11 @@ pub fn associations(
                 }),
             };
             match surface {
-                Some(surface) => surfaces.entry(sighting.landmark).or_default().push(surface),
+                Some(surface) => {
+                    let outline = Outline::new(&sighting.patch, &surface, &pose);
+                    outlines.entry(sighting.landmark).or_default().extend(outline);
+                    surfaces.entry(sighting.landmark).or_default().push(surface);
+                }
                 None => score.unknown += 1,
             }
         }
@@ -115,7 +124,45 @@ pub fn associations(
         score.right += right;
         score.wrong += seen.len() - right;
     }
+    let of_one_surface = |a: &Outline, b: &Outline| {
+        same_plane(&a.surface, &b.surface, within_m, within_rad) && (a.holds(b) || b.holds(a))
+    };
+    let is_double = |(landmark, seen): &(&u32, &Vec<Outline>)| {
+        let mut before = outlines.range(..**landmark).flat_map(|(_, before)| before);
+        before.any(|before| seen.iter().any(|seen| of_one_surface(seen, before)))
+    };
+    score.doubled = outlines.iter().filter(is_double).count();
     (score != Associations::default()).then_some(score)
+}
+
+/// A sighting's hull laid on the true surface that it shows.
+struct Outline {
+    surface: UnderPatch,
+    surface_from_world: Isometry3<f64>,
+    middle: Point3<f64>,
+    hull: Vec<Point2<f64>>,
+}
+
+impl Outline {
+    /// `None` where the surface has no normal.
+    fn new(patch: &Patch, surface: &UnderPatch, world_from_robot: &Isometry3<f64>) -> Option<Self> {
+        let normal = Unit::try_new(surface.normal, 0.5)?;
+        let up = if normal.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };
+        let surface_from_world =
+            Isometry3::look_at_rh(&surface.point, &(surface.point + *normal), &up);
+        let on_surface = |p: &Point3<f64>| (surface_from_world * (world_from_robot * p)).xy();
+        let corners: Vec<Point2<f64>> = patch.hull.iter().map(on_surface).collect();
+        Some(Self {
+            surface: *surface,
+            middle: world_from_robot * patch.centroid,
+            hull: convex_hull(&corners),
+            surface_from_world,
+        })
+    }
+
+    fn holds(&self, other: &Self) -> bool {
+        contains_point(&self.hull, &(self.surface_from_world * other.middle).xy())
+    }
 }
 
 /// The true pose at a keyframe.
@@ -134,10 +181,9 @@ fn same_plane(a: &UnderPatch, b: &UnderPatch, within_m: f64, within_rad: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::evaluate::Patch;
     use crate::export::keyframes::Sighting;
     use crate::sim::MapFile;
-    use nalgebra::{Matrix6, Point3, Vector3};
+    use nalgebra::Matrix6;
 
     fn truth() -> Vec<TimedPose> {
         let pose = |i: u32| Isometry3::translation(0.1 * f64::from(i), 0.0, 0.2);
@@ -174,8 +220,8 @@ mod tests {
                    [[box]]\ncenter = [4.0, 0.0, -0.4]\nsize = [4.0, 4.0, 1.0]\n";
         let world = World::new(&MapFile::parse(map).unwrap(), &BTreeMap::new()).unwrap();
         // A patch of floor ahead of the robot, whose origin is 0.2 m above the lower floor.
-        let floor = |x: f64, z: f64| Sighting {
-            landmark: 3,
+        let floor_of = |landmark: u32, x: f64, z: f64| Sighting {
+            landmark,
             patch: Patch {
                 normal: Vector3::z(),
                 centroid: Point3::new(x, 0.0, z),
@@ -184,6 +230,7 @@ mod tests {
                     .to_vec(),
             },
         };
+        let floor = |x: f64, z: f64| floor_of(3, x, z);
         let seen = [
             keyframe(2.0, 0.0, vec![floor(0.5, -0.2)]),
             keyframe(5.0, 0.0, vec![floor(0.8, -0.2)]),
@@ -191,9 +238,17 @@ mod tests {
             keyframe(11.0, 0.0, vec![floor(9.0, -0.2)]),
         ];
         let score = associations(&seen, &truth(), Some(&world)).unwrap();
-        assert_eq!(score, Associations { right: 2, wrong: 1, unknown: 1 });
+        assert_eq!(score, Associations { right: 2, wrong: 1, unknown: 1, doubled: 0 });
         // By themselves three lie in one plane, and one does not.
         let score = associations(&seen, &truth(), None).unwrap();
-        assert_eq!(score, Associations { right: 3, wrong: 1, unknown: 0 });
+        assert_eq!(score, Associations { right: 3, wrong: 1, unknown: 0, doubled: 0 });
+        // Another landmark beside the first, and one that lies on it.
+        let seen = [
+            keyframe(2.0, 0.0, vec![floor(0.5, -0.2)]),
+            keyframe(5.0, 0.0, vec![floor_of(4, 0.8, -0.2)]),
+            keyframe(6.0, 0.0, vec![floor_of(5, 0.2, -0.2)]),
+        ];
+        let score = associations(&seen, &truth(), Some(&world)).unwrap();
+        assert_eq!(score, Associations { right: 3, wrong: 0, unknown: 0, doubled: 1 });
     }
 }

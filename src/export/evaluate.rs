@@ -282,6 +282,7 @@ fn planes(files: &RunFiles, world: &World, true_from_map: &Isometry3<f64>) -> Op
 }
 
 /// A true surface under a patch.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct UnderPatch {
     /// A point of it, in the world.
     pub point: Point3<f64>,
