@@ -125,7 +125,7 @@ pub fn associations(
         score.wrong += seen.len() - right;
     }
     let of_one_surface = |a: &Outline, b: &Outline| {
-        same_plane(&a.surface, &b.surface, within_m, within_rad) && (a.holds(b) || b.holds(a))
+        same_plane(&a.surface, &b.surface, within_m, within_rad) && a.holds(b) && b.holds(a)
     };
     let is_double = |(landmark, seen): &(&u32, &Vec<Outline>)| {
         let mut before = outlines.range(..**landmark).flat_map(|(_, before)| before);
