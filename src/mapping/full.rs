@@ -29,10 +29,15 @@ pub struct FullConfig {
 /// How much worse than told odometry may be before the scan is no longer believed: the motion's
 /// standard deviations are widened by this when a scan does not fit the map.
 const WIDENING: f64 = 6.5;
+/// The same where that finds nothing either: wheels that slip or stick for a moment put the robot beside
+/// itself, and what it sees there may be new for the most part. Another place that fits better is no proof.
+const SLIPPED: f64 = 20.0;
 /// Pairs below which a scan is tried again with a widened motion.
 const FEW_PAIRS: usize = 3;
 /// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
 const LOG_SELDOM: f64 = -7.0;
+/// The same for wheels that slip or stick for a moment.
+const LOG_SLIPPED: f64 = -9.0;
 /// The same for a motion that tells nothing: a robot lifted and set down elsewhere, wheels that ran free.
 const LOG_LOST: f64 = -14.0;
 /// Share of a scan's upright area below which it may have been made elsewhere altogether.
@@ -234,9 +239,17 @@ impl Full {
         let more = |claim: &Claim| claim.assignment.pairs.len() >= least;
         let mut farther: Vec<Claim> = Vec::new();
         if few || !stands {
-            let wide = estimate.prepare(arrival, config, WIDENING);
-            farther.extend(options(&wide, prepared.len(), LOG_SELDOM).into_iter().filter(more));
-            prepared.push(wide);
+            for (widening, log_prior, least) in
+                [(WIDENING, LOG_SELDOM, least), (SLIPPED, LOG_SLIPPED, pairs + 1)]
+            {
+                let wide = estimate.prepare(arrival, config, widening);
+                let options = options(&wide, prepared.len(), log_prior).into_iter();
+                farther.extend(options.filter(|claim| claim.assignment.pairs.len() >= least));
+                prepared.push(wide);
+                if !farther.is_empty() {
+                    break;
+                }
+            }
         }
         // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
         let is_open = (0..2).any(|i| arrival.motion_covariance[(i, i)] > OPEN_M * OPEN_M);
