@@ -109,7 +109,8 @@ pub enum RefusalReason {
     /// It fitted a landmark before the update and no longer after it; the number is the squared
     /// Mahalanobis distance after the update.
     FailedRetest(f64),
-    /// The scan has more planes than one update takes in, and this is one of the smaller.
+    /// The scan has more planes than one update takes in, and this is one of the smaller; or more landmarks
+    /// are near than one update compares, and it may be one of those left out.
     Crowded,
     /// It fits several landmarks, and nothing decides between them yet.
     Ambiguous,

@@ -123,6 +123,22 @@ fn a_real_scan_moved_by_known_transforms_is_as_far_off_as_it_is_told() {
     }
 }
 
+/// 145 planes, more than some joint search takes in: none of them is a new one the second time.
+#[test]
+fn a_real_scan_of_many_planes_seen_again_adds_none() {
+    let Some(bytes) = reference_data("scans/kurt3d_000.pcd") else { return };
+    let scan = read_pcd(&bytes).unwrap().into_grid().unwrap();
+    let mut mapper = Mapper::new(MapperConfig::default(), Isometry3::identity());
+    let (first, planes) = look(&mut mapper, &scan);
+    assert!(planes > 120 && first.added.len() == planes, "{planes}");
+    for _ in 0..2 {
+        mapper.predict(&Isometry3::identity(), MotionSource::Wheels);
+        let (again, _) = look(&mut mapper, &scan);
+        assert!(again.added.is_empty(), "{:?}", again.added);
+        assert!(again.associations.len() > planes * 9 / 10, "{}", again.associations.len());
+    }
+}
+
 /// Half a metre and a seventh of a turn are open: 300 facets fit by chance wherever one looks.
 #[test]
 fn a_real_scan_finds_itself_without_odometry() {

@@ -36,6 +36,12 @@ impl Estimate {
         for index in beyond_the_largest(observations) {
             verdicts[index] = Verdict::Crowded;
         }
+        // What was not compared with all that it may be is not known to be new.
+        for (verdict, &cut) in verdicts.iter_mut().zip(&prepared.cut) {
+            if cut && matches!(verdict, Verdict::New) {
+                *verdict = Verdict::Crowded;
+            }
+        }
         let nis = question.joint_nis(&prepared.belief, &assignment.belief, &verdicts);
 
         let mut report = UpdateReport::begun(self.keyframes.len(), nis);

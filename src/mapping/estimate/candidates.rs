@@ -9,8 +9,8 @@ use crate::mapping::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix6, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Most landmarks that one scan is compared with; those seen last come first.
-const MOST_CANDIDATES: usize = 120;
+/// Most landmarks that one scan is compared with; those seen last come first. More than one scan may bring in.
+const MOST_CANDIDATES: usize = 200;
 /// Standard deviations within which a candidate is looked for, in the world and along the way: wheels
 /// that err all to one side err by more than they tell after a while.
 const REACH_SIGMAS: f64 = 3.5;
@@ -138,14 +138,14 @@ impl Predicted {
 
 impl Estimate {
     /// For each observation the landmarks that its box reaches and that face it, as positions in the
-    /// list of all candidates.
+    /// list of all candidates, and whether some had to be left out.
     pub(super) fn candidates(
         &self,
         scan: &ScanObservations,
         predicted: &Isometry3<f64>,
         window: &Window,
         config: &AssociationConfig,
-    ) -> (Vec<LandmarkId>, Vec<Vec<usize>>) {
+    ) -> (Vec<LandmarkId>, Vec<Vec<usize>>, Vec<bool>) {
         let seen: Vec<Predicted> =
             scan.observations.iter().map(|seen| Predicted::new(seen, predicted)).collect();
         let reach_m = seen.iter().map(|seen| seen.reach_m).fold(0.0, f64::max);
@@ -175,11 +175,12 @@ impl Estimate {
             all.truncate(MOST_CANDIDATES);
             all.sort_unstable();
         }
-        let positions = lists
+        let positions: Vec<Vec<usize>> = lists
             .iter()
             .map(|list| list.iter().filter_map(|id| all.binary_search(id).ok()).collect())
             .collect();
-        (all, positions)
+        let cut = lists.iter().zip(&positions).map(|(all, kept)| kept.len() < all.len()).collect();
+        (all, positions, cut)
     }
 
     /// The landmarks whose boxes meet the box around some points, `margin_m` wider on each side, with

@@ -54,6 +54,8 @@ pub(super) struct Prepared {
     pub(super) assignments: Vec<Assignment>,
     /// For each observation its candidates, as positions in `planes`.
     candidates: Vec<Vec<usize>>,
+    /// Whether an observation has candidates that it was not compared with.
+    cut: Vec<bool>,
     /// The landmark behind each plane of the belief, in order.
     planes: Vec<LandmarkId>,
     common: Vec<Option<Matrix3x4<f64>>>,

@@ -168,7 +168,7 @@ impl Estimate {
             predicted_covariance(&before, &self.last_covariance(), &motion, &motion_covariance);
         let led = Led::by(&motion_covariance);
         let window = Window::new(&predicted, &pose_covariance, led, &self.keyframes);
-        let (planes, candidates) = self.candidates(scan, &predicted, &window, config);
+        let (planes, candidates, cut) = self.candidates(scan, &predicted, &window, config);
         let mut belief = self.belief(&planes, arrival, &motion, &predicted, &motion_covariance);
         if let Some(attitude) = arrival.attitude {
             let (residual, rows) =
@@ -182,6 +182,7 @@ impl Estimate {
             belief,
             assignments,
             candidates,
+            cut,
             planes,
             common,
             samples,
