@@ -48,8 +48,8 @@ pub struct Associations {
     pub wrong: usize,
     /// Sightings that lie on no surface of the world, such as bodies and patches over an edge.
     pub unknown: usize,
-    /// Landmarks of which some sighting lies where a landmark with a lower number was seen: one surface
-    /// taken for two.
+    /// Landmarks of which some sighting and one of a landmark with a lower number lie on one surface, each with
+    /// its middle within the other: one surface taken for two. Doubles that overlap less are not counted.
     pub doubled: usize,
 }
 

@@ -13,6 +13,8 @@ use nalgebra::{
 const POSE: usize = 6;
 /// Components of the scan's common errors.
 const ERRORS: usize = 4;
+/// Cosine of a normal's angle to the vertical above which a plane lies.
+const LYING_COSINE: f64 = 0.8;
 /// Most points of linearisation of one update.
 const MOST_LINEARISATIONS: usize = 4;
 /// A turn below which an update counts as linear: over ten metres it bends a way by 0.1 mm.
@@ -129,6 +131,17 @@ impl Belief {
     /// Variance of one component of the pose.
     pub(super) fn pose_variance(&self, component: usize) -> f64 {
         self.covariance[(component, component)]
+    }
+
+    /// Whether a plane lies, as floors and ceilings do.
+    pub(super) fn lies(&self, plane: usize) -> bool {
+        (self.planes[plane].rotation * Vector3::z()).z.abs() > LYING_COSINE
+    }
+
+    /// Variance of a plane's offset along its normal, in m².
+    pub(super) fn offset_variance(&self, plane: usize) -> f64 {
+        let at = self.first_plane() + 3 * plane;
+        self.covariance[(at, at)]
     }
 
     /// Variance of a plane's tilt about whichever of its axes it is known worse.

@@ -239,8 +239,10 @@ impl Full {
         let more = |claim: &Claim| claim.assignment.pairs.len() >= least;
         let mut farther: Vec<Claim> = Vec::new();
         if few || !stands {
+            // A pair or two fit somewhere within so wide a reach whatever was seen.
+            let least_slipped = (pairs + 1).max(FEW_PAIRS);
             for (widening, log_prior, least) in
-                [(WIDENING, LOG_SELDOM, least), (SLIPPED, LOG_SLIPPED, pairs + 1)]
+                [(WIDENING, LOG_SELDOM, least), (SLIPPED, LOG_SLIPPED, least_slipped)]
             {
                 let wide = estimate.prepare(arrival, config, widening);
                 let options = options(&wide, prepared.len(), log_prior).into_iter();

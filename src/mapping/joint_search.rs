@@ -187,15 +187,21 @@ fn most_telling(
     chosen
 }
 
-/// Whether all places that a belief leaves are nearer to each other than those that are told apart.
+/// Whether all places that a belief leaves are nearer to each other than those that are told apart. A place lies
+/// beside planes: where a loop closes the robot may be known beside its last pose, and they are not.
 fn is_one_place(belief: &Belief) -> bool {
-    let sigma = |components: std::ops::Range<usize>| {
-        components.map(|component| belief.pose_variance(component)).sum::<f64>().max(0.0).sqrt()
+    let within =
+        |variance: f64, apart: f64| 2.0 * ONE_PLACE_SIGMAS * variance.max(0.0).sqrt() < apart;
+    let variance = |components: std::ops::Range<usize>| {
+        components.map(|component| belief.pose_variance(component)).sum::<f64>()
     };
-    let within = |sigma: f64, apart: f64| 2.0 * ONE_PLACE_SIGMAS * sigma < apart;
-    within(sigma(0..2), APART_M)
-        && within(sigma(2..3), APART_UP_M)
-        && within(sigma(3..6), APART_RAD)
+    within(variance(0..2), APART_M)
+        && within(variance(2..3), APART_UP_M)
+        && within(variance(3..6), APART_RAD)
+        && (0..belief.planes.len()).all(|plane| {
+            let apart_m = if belief.lies(plane) { APART_UP_M } else { APART_M };
+            within(belief.offset_variance(plane), apart_m)
+        })
 }
 
 /// How a pair fits: what it adds to a set's score and support beside its squared distance.

@@ -3,8 +3,6 @@
 use super::belief::Belief;
 use nalgebra::Vector3;
 
-/// Cosine of a normal's angle to the vertical above which a plane lies.
-const LYING_COSINE: f64 = 0.8;
 /// Standard deviation of a plane's tilt above which its turning says nothing of the robot's: pairs turn small
 /// facets as they please.
 const LOOSE_RAD: f64 = 0.03;
@@ -44,8 +42,7 @@ impl Shift {
             } else {
                 distance - other_distance
             };
-            let greatest =
-                if up.z.abs() > LYING_COSINE { &mut shift.up_m } else { &mut shift.level_m };
+            let greatest = if a.lies(plane) { &mut shift.up_m } else { &mut shift.level_m };
             *greatest = greatest.max(gap.abs());
             if !is_loose {
                 shift.turn_rad = shift.turn_rad.max(normal.angle(&other_normal));

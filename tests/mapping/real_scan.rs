@@ -123,7 +123,7 @@ fn a_real_scan_moved_by_known_transforms_is_as_far_off_as_it_is_told() {
     }
 }
 
-/// 145 planes, more than some joint search takes in: none of them is a new one the second time.
+/// A scan of some 145 planes: seen again from the same place none of them is a new one.
 #[test]
 fn a_real_scan_of_many_planes_seen_again_adds_none() {
     let Some(bytes) = reference_data("scans/kurt3d_000.pcd") else { return };
