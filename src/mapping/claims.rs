@@ -53,6 +53,8 @@ pub(super) struct Judged {
     pub(super) score: f64,
     /// Share of the scan's points that contradict the map.
     pub(super) refuted: f64,
+    /// See [`Contradiction::misplaced`](super::sight::Contradiction::misplaced).
+    pub(super) misplaced: usize,
     pub(super) far: bool,
     pub(super) carried: bool,
 }
@@ -70,7 +72,7 @@ pub(super) fn weigh(
         let refuted = against.share();
         let score = assignment.support + pieces + log_prior + against.footing + against.doubled
             - weight_of(refuted);
-        Judged { prepared, assignment, score, refuted, far, carried }
+        Judged { prepared, assignment, score, refuted, misplaced: against.misplaced, far, carried }
     };
     claims.into_iter().map(weigh).collect()
 }
@@ -99,6 +101,7 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
             pairs = option.assignment.pairs.len(),
             score = option.score,
             refuted = option.refuted,
+            misplaced = option.misplaced,
             far = option.far,
             carried = option.carried,
             proven,

@@ -183,7 +183,8 @@ impl Full {
             && plain.assignments.len() == 1
             && self.hypotheses.len() == 1
             && pairs as f64 >= KNOWN_SHARE * most as f64
-            && recognised_share(found, arrival.scan) >= KNOWN_SHARE;
+            && recognised_share(found, arrival.scan) >= KNOWN_SHARE
+            && !estimate.misplaces(arrival.scan, &plain, found);
         if plainly {
             let assignment = found.clone();
             branches.push(Branch {
@@ -233,7 +234,9 @@ impl Full {
         let mut weighed = weigh(claims, estimate, prepared, arrival.scan);
         let mut judged = judge(weighed.clone(), arrival.scan);
         let best = judged.iter().max_by(|a, b| a.score.total_cmp(&b.score));
-        let stands = best.is_some_and(|best| best.score >= 0.0 && best.refuted <= REFUTED_SHARE);
+        let stands = best.is_some_and(|best| {
+            best.score >= 0.0 && best.refuted <= REFUTED_SHARE && best.misplaced == 0
+        });
         // Pairs that the map speaks against are no measure of what another place must show.
         let least = if few || stands { doubled } else { FEW_PAIRS + 1 };
         let more = |claim: &Claim| claim.assignment.pairs.len() >= least;

@@ -54,6 +54,9 @@ pub(super) struct Contradiction {
     /// Logarithm of how seldom observations lie close before or behind a parallel surface of the map, over
     /// cells of it that were hit, as those here do: a floor taken for the kerb beside it.
     pub(super) doubled: f64,
+    /// Observations that are not recognised and lie for the most part where they cannot be: a wall before or
+    /// behind itself is one that was seen from elsewhere, however well the rest fits.
+    pub(super) misplaced: usize,
 }
 
 impl Contradiction {
@@ -83,59 +86,122 @@ impl Estimate {
         let belief = &assignment.belief;
         let world_from_robot = &belief.world_from_robot;
         let covariance = belief.pose_covariance();
-        let world_from_scan = world_from_robot * scan.robot_from_scan;
-        let eye = Point3::from(world_from_scan.translation.vector);
         let hulls = scan.observations.iter().flat_map(Observation::hull_points);
         let around = hulls.chain(scan.contacts.iter().copied());
-        let around = around.map(|p| world_from_robot * p).chain([eye]);
-        let position_covariance = covariance.fixed_view::<3, 3>(0, 0).into_owned();
-        let walls: Vec<Wall<'_>> = self
-            // A wall that the points are said to stand before lies beyond all of them.
-            .landmarks_about(around, DOUBLED_M)
-            .map(|(landmark, _)| landmark)
-            .filter_map(|landmark| {
-                let plane = prepared.plane_of(landmark.id);
-                let frame = plane.map_or(landmark.world_from_plane, |plane| belief.planes[plane]);
-                Wall::facing(landmark, plane, frame, &eye, &position_covariance)
-            })
-            .collect();
+        let walls = self.walls(scan, prepared, assignment, around);
         let mut found = Contradiction {
             footing: footing(&walls, world_from_robot, &covariance, &scan.contacts),
             ..Contradiction::default()
         };
         for (index, observation) in scan.observations.iter().enumerate() {
-            let world_from_plane = world_from_robot * observation.robot_from_plane;
-            let against: Vec<Against<'_>> = walls
-                .iter()
-                .map(|wall| {
-                    let denied = left_out.contains(&(index, wall.landmark.id));
-                    Against::new(wall, &world_from_plane, denied, |plane| {
-                        prepared.gap(scan, assignment, index, plane)
-                    })
-                })
-                .collect();
-            let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
-            let own = taken.and_then(|plane| walls.iter().find(|wall| wall.plane == Some(plane)));
-            let (mut samples, mut doubled) = (0, 0);
-            for cell in observation.mask.thinned(SAMPLES_PER_PLANE) {
-                let point = world_from_plane * Point3::new(cell.x, cell.y, 0.0);
-                // Where the map has what is said to be seen, it is no news that it has another, too.
-                let is_news =
-                    || !own.is_some_and(|own| own.solid_at(&(own.plane_from_world * point)));
-                samples += 1;
-                match against.iter().map(|wall| wall.verdict(&point)).max() {
-                    Some(Refutation::Sure) => found.refuted += 1,
-                    Some(Refutation::Tight) if is_news() => doubled += 1,
-                    _ => {}
-                }
-            }
-            found.samples += samples;
-            if 2 * doubled > samples {
+            let denied = |landmark: LandmarkId| left_out.contains(&(index, landmark));
+            let held = held_against(&walls, scan, prepared, assignment, index, denied);
+            found.samples += held.samples;
+            found.refuted += held.refuted;
+            if 2 * held.doubled > held.samples {
                 found.doubled += SWALLOWED.ln() * (observation.area_m2() / SWALLOWED_M2).min(1.0);
             }
+            let is_free = assignment.pairs.iter().all(|pair| pair.0 != index);
+            found.misplaced += usize::from(is_free && held.is_misplaced());
         }
         found
     }
+
+    /// Whether something that an assignment does not recognise lies for the most part where the map says that
+    /// it cannot be: see [`Contradiction::misplaced`].
+    pub(super) fn misplaces(
+        &self,
+        scan: &ScanObservations,
+        prepared: &Prepared,
+        assignment: &Assignment,
+    ) -> bool {
+        let is_free = |index: &usize| assignment.pairs.iter().all(|pair| pair.0 != *index);
+        let free: Vec<usize> = (0..scan.observations.len()).filter(is_free).collect();
+        if free.is_empty() {
+            return false;
+        }
+        let hulls = free.iter().flat_map(|&index| scan.observations[index].hull_points());
+        let walls = self.walls(scan, prepared, assignment, hulls);
+        free.iter().any(|&index| {
+            held_against(&walls, scan, prepared, assignment, index, |_| false).is_misplaced()
+        })
+    }
+
+    /// The landmarks that face the sensor and may lie between it and points in the robot's frame, or close
+    /// behind them.
+    fn walls(
+        &self,
+        scan: &ScanObservations,
+        prepared: &Prepared,
+        assignment: &Assignment,
+        points: impl Iterator<Item = Point3<f64>>,
+    ) -> Vec<Wall<'_>> {
+        let belief = &assignment.belief;
+        let world_from_robot = belief.world_from_robot;
+        let covariance = belief.pose_covariance().fixed_view::<3, 3>(0, 0).into_owned();
+        let eye = Point3::from((world_from_robot * scan.robot_from_scan).translation.vector);
+        let around = points.map(|p| world_from_robot * p).chain([eye]);
+        // A wall that the points are said to stand before lies beyond all of them.
+        self.landmarks_about(around, DOUBLED_M)
+            .filter_map(|(landmark, _)| {
+                let plane = prepared.plane_of(landmark.id);
+                let frame = plane.map_or(landmark.world_from_plane, |plane| belief.planes[plane]);
+                Wall::facing(landmark, plane, frame, &eye, &covariance)
+            })
+            .collect()
+    }
+}
+
+/// How an observation's points lie among the landmarks.
+#[derive(Clone, Copy, Debug, Default)]
+struct Held {
+    samples: usize,
+    /// See [`Refutation::Sure`] and [`Refutation::Tight`].
+    refuted: usize,
+    doubled: usize,
+}
+
+impl Held {
+    fn is_misplaced(&self) -> bool {
+        2 * self.refuted > self.samples
+    }
+}
+
+/// Holds an observation's points against the landmarks; `denied` tells of those that it is said not to be.
+fn held_against(
+    walls: &[Wall<'_>],
+    scan: &ScanObservations,
+    prepared: &Prepared,
+    assignment: &Assignment,
+    index: usize,
+    denied: impl Fn(LandmarkId) -> bool,
+) -> Held {
+    let observation = &scan.observations[index];
+    let world_from_plane = assignment.belief.world_from_robot * observation.robot_from_plane;
+    let against: Vec<Against<'_>> = walls
+        .iter()
+        .map(|wall| {
+            let denied = denied(wall.landmark.id);
+            Against::new(wall, &world_from_plane, denied, |plane| {
+                prepared.gap(scan, assignment, index, plane)
+            })
+        })
+        .collect();
+    let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
+    let own = taken.and_then(|plane| walls.iter().find(|wall| wall.plane == Some(plane)));
+    let mut held = Held::default();
+    for cell in observation.mask.thinned(SAMPLES_PER_PLANE) {
+        let point = world_from_plane * Point3::new(cell.x, cell.y, 0.0);
+        // Where the map has what is said to be seen, it is no news that it has another, too.
+        let is_news = || !own.is_some_and(|own| own.solid_at(&(own.plane_from_world * point)));
+        held.samples += 1;
+        match against.iter().map(|wall| wall.verdict(&point)).max() {
+            Some(Refutation::Sure) => held.refuted += 1,
+            Some(Refutation::Tight) if is_news() => held.doubled += 1,
+            _ => {}
+        }
+    }
+    held
 }
 
 /// What a landmark says against a point.
