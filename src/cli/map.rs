@@ -81,6 +81,7 @@ struct Step {
 /// A scan or pose file that cannot be used, files of different lengths, an output that cannot be
 /// written.
 pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
+    say::log("warn");
     let odometry = read_poses(arguments.odometry.as_deref(), arguments.scans.len())?;
     let truth = read_poses(arguments.truth.as_deref(), arguments.scans.len())?;
     let mode = match arguments.mode {

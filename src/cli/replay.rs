@@ -76,6 +76,7 @@ fn speed(text: &str) -> Result<Speed, String> {
 ///
 /// A file that is no session, a configuration that cannot be used, a folder that cannot be written.
 pub fn run(arguments: &ReplayArguments) -> Result<ExitCode> {
+    super::say::log("warn");
     warn_of_no_console(&arguments.console);
     let overrides: Vec<Source> =
         arguments.config.iter().map(|path| Source::file(path)).collect::<Result<_, _>>()?;

@@ -61,6 +61,23 @@ pub fn is_coloured() -> bool {
     COLOUR.load(Ordering::Relaxed)
 }
 
+/// Lets what the library logs go to standard error: from `usual` on, or as `-q`, `-v` and `RUST_LOG` say.
+pub fn log(usual: &str) {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| {
+        tracing_subscriber::EnvFilter::new(match loudness() {
+            ..0 => "error",
+            0 => usual,
+            1 => "debug",
+            2.. => "trace",
+        })
+    });
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    // A terminal that has gone must not end a server: what cannot be logged is lost.
+    let log = log.with_ansi(is_coloured()).log_internal_errors(false);
+    // Where a log is set up already, that one serves.
+    let _ = log.without_time().with_target(false).try_init();
+}
+
 /// What ended a verb, or one of its parts. A terminal that has gone ends nothing, as `eprintln!` would.
 pub fn error(text: impl Display) {
     labelled("error:", "31", &text);

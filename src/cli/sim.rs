@@ -127,30 +127,14 @@ fn factor(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Who connects and what is refused goes to standard error; `RUST_LOG` chooses what else.
-fn log_to_stderr() {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| {
-        tracing_subscriber::EnvFilter::new(match say::loudness() {
-            ..0 => "error",
-            0 => "info",
-            1 => "debug",
-            2.. => "trace",
-        })
-    });
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    // A terminal that has gone must not end the server: what cannot be logged is lost.
-    let log = log.with_ansi(say::is_coloured()).log_internal_errors(false);
-    // Where a log is set up already, that one serves.
-    let _ = log.without_time().with_target(false).try_init();
-}
-
 /// Runs the verb until Ctrl-C.
 ///
 /// # Errors
 ///
 /// A scenario that cannot be used, a port that is taken.
 pub fn run(arguments: &SimArguments) -> Result<ExitCode> {
-    log_to_stderr();
+    // Who connects and what is refused.
+    say::log("info");
     // With the agent's part, which the server does not need: a scenario is valid or not, whoever asks.
     let mut files = scenario::load(&arguments.scenario, &[])?.files;
     if let Some(dialect) = arguments.dialect {

@@ -318,6 +318,30 @@ impl Question<'_> {
         s.cholesky().map_or(f64::INFINITY, |root| h.dot(&root.solve(&h)))
     }
 
+    /// Whether an observation that was not recognised may be a plane that was not seen, if the robot were a
+    /// little way off: either faces as the other does and lies where the other can be.
+    pub(super) fn may_be_displaced(
+        &self,
+        belief: &Belief,
+        verdicts: &[Verdict],
+        config: &AssociationConfig,
+    ) -> bool {
+        let is_seen = |plane| {
+            verdicts
+                .iter()
+                .any(|verdict| matches!(verdict, Verdict::Seen(seen, _) if *seen == plane))
+        };
+        let is_unknown = |verdict: &Verdict| matches!(verdict, Verdict::New | Verdict::Doubtful(_));
+        let mut unknown = (0..verdicts.len()).filter(|&index| is_unknown(&verdicts[index]));
+        unknown.any(|observation| {
+            self.candidates[observation].iter().any(|&plane| {
+                !is_seen(plane)
+                    && self.rows(belief, observation, plane).angle_rad() < config.max_angle_rad
+                    && self.patches_meet(belief, observation, plane, config)
+            })
+        })
+    }
+
     /// Observations that an assignment does not take for a plane which they fit, with those planes. To
     /// leave one out is to say that it is another surface.
     pub(super) fn left_out(

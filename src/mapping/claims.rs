@@ -16,6 +16,8 @@ pub(super) const UNPROVEN: f64 = 9.0;
 const AGAINST_PER_CENT: f64 = 3.0;
 pub(super) const TOLERATED_SHARE: f64 = 0.02;
 const MOST_AGAINST: f64 = 100.0;
+/// Share of a scan's points that contradict the map beyond which no explanation stands.
+const REFUTED_SHARE: f64 = 0.1;
 /// Share of a scan's area that must be recognised before it may move the robot beyond what odometry
 /// allows.
 const PROVEN_AREA_SHARE: f64 = 0.6;
@@ -59,6 +61,13 @@ pub(super) struct Judged {
     pub(super) carried: bool,
 }
 
+impl Judged {
+    /// Whether nothing in the scan makes the motion appear worse than it was taken to be.
+    pub(super) fn stands(&self) -> bool {
+        self.score >= 0.0 && self.refuted <= REFUTED_SHARE && self.misplaced == 0
+    }
+}
+
 /// Scores of explanations, each for itself, with what the map says against them.
 pub(super) fn weigh(
     claims: Vec<Claim>,
@@ -97,7 +106,10 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
         if !proven {
             option.score = option.score.min(near_score - UNPROVEN);
         }
+        let at = option.assignment.belief.world_from_robot;
         tracing::debug!(
+            x = at.translation.x,
+            y = at.translation.y,
             pairs = option.assignment.pairs.len(),
             score = option.score,
             refuted = option.refuted,

@@ -1,16 +1,14 @@
 //! The full mode: landmarks with covariance and correlations, loops, and several explanations where
 //! the data allow several.
 
-use super::association::{Assignment, AssociationConfig};
-use super::claims::{
-    Claim, TOLERATED_SHARE, UNPROVEN, judge, recognised_share, upright_share, weigh,
-};
+use super::association::AssociationConfig;
+use super::claims::{TOLERATED_SHARE, UNPROVEN};
 use super::curved::CurvedLandmark;
 use super::estimate::{Arrival, Attitude, Estimate, Prepared};
+use super::fork::{Fork, SAME_M, SAME_RAD, Way, moves_far};
 use super::graph::GraphConfig;
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
-use super::perturbation::pose_error;
 use super::report::{MovedKeyframe, UpdateReport};
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
@@ -26,42 +24,6 @@ pub struct FullConfig {
     pub graph: GraphConfig,
 }
 
-/// How much worse than told odometry may be before the scan is no longer believed: the motion's
-/// standard deviations are widened by this when a scan does not fit the map.
-const WIDENING: f64 = 6.5;
-/// The same where that finds nothing either: wheels that slip or stick for a moment put the robot beside
-/// itself, and what it sees there may be new for the most part. Another place that fits better is no proof.
-const SLIPPED: f64 = 20.0;
-/// Pairs below which a scan is tried again with a widened motion.
-const FEW_PAIRS: usize = 3;
-/// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
-const LOG_SELDOM: f64 = -7.0;
-/// The same for wheels that slip or stick for a moment.
-const LOG_SLIPPED: f64 = -9.0;
-/// The same for a motion that tells nothing: a robot lifted and set down elsewhere, wheels that ran free.
-const LOG_LOST: f64 = -14.0;
-/// Share of a scan's upright area below which it may have been made elsewhere altogether.
-const LOST_SHARE: f64 = 0.25;
-/// Logarithm of how seldom a scan in the midst of a map shows nothing of it. Without it the pairs of a
-/// scan that shows three planes would be left out as often as noise makes all of them miss widely.
-const LOG_UNRECOGNISED: f64 = -5.0;
-/// Share of a scan's planes and of their area that is recognised from which on one explanation is taken as it
-/// comes, and share of its points that contradict the map beyond which none is: the motion may be worse than
-/// told.
-const KNOWN_SHARE: f64 = 0.6;
-const REFUTED_SHARE: f64 = 0.1;
-/// Standard deviation of a motion over the ground from which on nobody has measured it.
-const OPEN_M: f64 = 0.25;
-/// Corrections that are looked at twice, whatever the odometry's noise allows, and how many pairs
-/// fewer another explanation may then have.
-const LARGE_M: f64 = 0.1;
-const LARGE_RAD: f64 = 0.03;
-/// The same for the height: a kerb beside the floor is another surface for the same wheels.
-const LARGE_UP_M: f64 = 0.03;
-const SLACK: usize = 2;
-/// Corrections that need proof.
-const FAR_M: f64 = 0.8;
-const FAR_RAD: f64 = 0.35;
 /// An explanation behind the best by this much is dropped.
 const DEAD: f64 = 15.0;
 /// Most explanations that are carried, and scans that one may be carried without becoming the best.
@@ -95,12 +57,9 @@ pub struct Full {
 /// One way to go on from a hypothesis.
 struct Branch {
     parent: usize,
-    prepared: usize,
-    assignment: Assignment,
     log_weight: f64,
-    /// Share of the scan that contradicts it; 0 where nobody asked.
-    refuted: f64,
     carried: bool,
+    way: Way,
 }
 
 impl Full {
@@ -159,135 +118,14 @@ impl Full {
         prepared: &mut Vec<Prepared>,
         branches: &mut Vec<Branch>,
     ) {
-        let config = &self.config.association;
         let Hypothesis { estimate, log_weight, carried, .. } = &self.hypotheses[parent];
-        let mut plain = estimate.prepare(arrival, config, 1.0);
-        let found = &plain.assignments[0];
-        let pairs = found.pairs.len();
-        let most = arrival.scan.observations.len().min(config.anchors);
-        let few = !estimate.landmarks().is_empty() && pairs < (most / 3).max(FEW_PAIRS);
-        let large = found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD);
-        let place = prepared.len();
-        let doubled = (2 * pairs).max(FEW_PAIRS + 1);
-        let (predicted, guess) = (plain.belief.world_from_robot, found.belief.world_from_robot);
-        let carried_to = |least: usize| -> Vec<Prepared> {
-            let places = estimate.elsewhere(arrival, &guess);
-            let there = places.iter().map(|place| estimate.prepare_at(arrival, config, place));
-            there.filter(|there| there.assignments.iter().any(|a| a.pairs.len() >= least)).collect()
-        };
-        let lost = few || upright_share(found, arrival.scan) < LOST_SHARE;
-        let mut elsewhere = if lost { carried_to(doubled) } else { Vec::new() };
-        let plainly = !few
-            && !large
-            && elsewhere.is_empty()
-            && plain.assignments.len() == 1
-            && self.hypotheses.len() == 1
-            && pairs as f64 >= KNOWN_SHARE * most as f64
-            && recognised_share(found, arrival.scan) >= KNOWN_SHARE
-            && !estimate.misplaces(arrival.scan, &plain, found);
-        if plainly {
-            let assignment = found.clone();
-            branches.push(Branch {
-                parent,
-                prepared: place,
-                assignment,
-                log_weight: 0.0,
-                refuted: 0.0,
-                carried: false,
-            });
-            prepared.push(plain);
-            return;
-        }
-        if large {
-            estimate.associate(arrival, config, &mut plain, SLACK);
-            let is_large = |found: &Assignment| {
-                found.shift_from(&plain.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD)
-            };
-            if plain.assignments.iter().all(is_large) {
-                estimate.associate_near(arrival, config, &mut plain, LARGE_M);
-            }
-        }
-        let options = |prepared: &Prepared, place: usize, log_prior: f64| -> Vec<Claim> {
-            let claim = |found: &Assignment| Claim {
-                prepared: place,
-                assignment: found.clone(),
-                log_prior,
-                far: found.shift_from(&prepared.belief).exceeds(FAR_M, FAR_M, FAR_RAD),
-                carried: false,
-                left_out: estimate.left_out(arrival, config, prepared, found),
-                pieces: estimate.pieces(arrival, config, prepared, found),
-            };
-            prepared.assignments.iter().map(claim).collect()
-        };
-        let mut claims = options(&plain, place, 0.0);
-        // That nothing was recognised is an explanation too.
-        claims.push(Claim {
-            prepared: place,
-            assignment: Assignment::none(&plain.belief),
-            log_prior: LOG_UNRECOGNISED,
-            far: false,
-            carried: false,
-            left_out: Vec::new(),
-            pieces: 0.0,
-        });
-        prepared.push(plain);
-        let mut weighed = weigh(claims, estimate, prepared, arrival.scan);
-        let mut judged = judge(weighed.clone(), arrival.scan);
-        let best = judged.iter().max_by(|a, b| a.score.total_cmp(&b.score));
-        let stands = best.is_some_and(|best| {
-            best.score >= 0.0 && best.refuted <= REFUTED_SHARE && best.misplaced == 0
-        });
-        // Pairs that the map speaks against are no measure of what another place must show.
-        let least = if few || stands { doubled } else { FEW_PAIRS + 1 };
-        let more = |claim: &Claim| claim.assignment.pairs.len() >= least;
-        let mut farther: Vec<Claim> = Vec::new();
-        if few || !stands {
-            // A pair or two fit somewhere within so wide a reach whatever was seen.
-            let least_slipped = (pairs + 1).max(FEW_PAIRS);
-            for (widening, log_prior, least) in
-                [(WIDENING, LOG_SELDOM, least), (SLIPPED, LOG_SLIPPED, least_slipped)]
-            {
-                let wide = estimate.prepare(arrival, config, widening);
-                let options = options(&wide, prepared.len(), log_prior).into_iter();
-                farther.extend(options.filter(|claim| claim.assignment.pairs.len() >= least));
-                prepared.push(wide);
-                if !farther.is_empty() {
-                    break;
-                }
-            }
-        }
-        // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
-        let is_open = (0..2).any(|i| arrival.motion_covariance[(i, i)] > OPEN_M * OPEN_M);
-        if is_open {
-            for (world_from_robot, log_prior) in estimate.within_reach(arrival) {
-                let there = estimate.prepare_at(arrival, config, &world_from_robot);
-                let far = moves_far(&predicted, &world_from_robot, FAR_M, FAR_RAD);
-                let options = options(&there, prepared.len(), log_prior).into_iter();
-                farther.extend(options.map(|claim| Claim { far: claim.far || far, ..claim }));
-                prepared.push(there);
-            }
-        }
-        if farther.is_empty() {
-            if !stands && !lost {
-                elsewhere = carried_to(least);
-            }
-            for there in elsewhere {
-                let options = options(&there, prepared.len(), LOG_LOST).into_iter().filter(more);
-                farther.extend(options.map(|claim| Claim { far: true, carried: true, ..claim }));
-                prepared.push(there);
-            }
-        }
-        if !farther.is_empty() {
-            weighed.extend(weigh(farther, estimate, prepared, arrival.scan));
-            judged = judge(weighed, arrival.scan);
-        }
-        branches.extend(judged.into_iter().map(|judged| Branch {
+        let alone = self.hypotheses.len() == 1;
+        let ways = Fork::new(estimate, arrival, &self.config.association, prepared).ways(alone);
+        branches.extend(ways.into_iter().map(|way| Branch {
             parent,
-            prepared: judged.prepared,
-            assignment: judged.assignment,
-            log_weight: log_weight + judged.score,
-            refuted: judged.refuted,
-            carried: *carried || judged.carried,
+            log_weight: log_weight + way.score,
+            carried: *carried || way.carried,
+            way,
         }));
     }
 
@@ -309,12 +147,10 @@ impl Full {
             let from = if needed_again { parent.clone() } else { parent.take() };
             let mut from = from.expect("a parent is taken by its last branch");
             from.estimate.number_from(self.next_landmark);
-            let report = from.estimate.apply(
-                arrival,
-                &prepared[branch.prepared],
-                &branch.assignment,
-                config,
-            );
+            let (prepared, assignment) = (&prepared[branch.way.prepared], &branch.way.assignment);
+            let ask = || from.estimate.verdicts(arrival, prepared, assignment, config);
+            let verdicts = branch.way.verdicts.clone().unwrap_or_else(ask);
+            let report = from.estimate.apply(arrival, prepared, assignment, &verdicts, config);
             self.next_landmark = from.estimate.next_landmark();
             let pose = from.estimate.last_pose();
             from.behind = if at == 0 { 0 } else { from.behind + 1 };
@@ -411,24 +247,16 @@ impl Full {
     }
 }
 
-/// Two explanations that put the robot this near to each other are one.
-const SAME_M: f64 = 0.05;
-const SAME_RAD: f64 = 0.01;
 /// A change of an old pose that is told when another explanation becomes the best.
 const TOLD_M: f64 = 0.02;
 const TOLD_RAD: f64 = 0.005;
-
-fn moves_far(a: &Isometry3<f64>, b: &Isometry3<f64>, far_m: f64, far_rad: f64) -> bool {
-    let gap = pose_error(a, b);
-    gap.fixed_rows::<3>(0).norm() > far_m || gap.fixed_rows::<3>(3).norm() > far_rad
-}
 
 /// Of the ways to go on from one explanation that put the robot in one place the first: to take in all of
 /// them would copy the map to find out that they are one.
 fn keep_one_per_place(branches: &mut Vec<Branch>) {
     let mut places: Vec<(usize, Isometry3<f64>)> = Vec::new();
     branches.retain(|branch| {
-        let place = branch.assignment.belief.world_from_robot;
+        let place = branch.way.assignment.belief.world_from_robot;
         let known = places.iter().any(|(parent, other)| {
             *parent == branch.parent && !moves_far(other, &place, SAME_M, SAME_RAD)
         });
@@ -442,9 +270,9 @@ fn keep_one_per_place(branches: &mut Vec<Branch>) {
 fn hold_back(branches: &mut [Branch]) {
     let led = branches.iter().filter(|branch| !branch.carried);
     let Some(led) = led.max_by(|a, b| a.log_weight.total_cmp(&b.log_weight)) else { return };
-    let (log_weight, refuted) = (led.log_weight, led.refuted);
+    let (log_weight, refuted) = (led.log_weight, led.way.refuted);
     for branch in branches.iter_mut().filter(|branch| branch.carried) {
-        if refuted <= branch.refuted + TOLERATED_SHARE {
+        if refuted <= branch.way.refuted + TOLERATED_SHARE {
             branch.log_weight = branch.log_weight.min(log_weight - UNPROVEN);
         }
     }

@@ -107,22 +107,21 @@ impl Estimate {
         found
     }
 
-    /// Whether something that an assignment does not recognise lies for the most part where the map says that
-    /// it cannot be: see [`Contradiction::misplaced`].
+    /// Whether one of some observations that an assignment does not recognise lies for the most part where the
+    /// map says that it cannot be: see [`Contradiction::misplaced`].
     pub(super) fn misplaces(
         &self,
         scan: &ScanObservations,
         prepared: &Prepared,
         assignment: &Assignment,
+        unknown: &[usize],
     ) -> bool {
-        let is_free = |index: &usize| assignment.pairs.iter().all(|pair| pair.0 != *index);
-        let free: Vec<usize> = (0..scan.observations.len()).filter(is_free).collect();
-        if free.is_empty() {
+        if unknown.is_empty() {
             return false;
         }
-        let hulls = free.iter().flat_map(|&index| scan.observations[index].hull_points());
+        let hulls = unknown.iter().flat_map(|&index| scan.observations[index].hull_points());
         let walls = self.walls(scan, prepared, assignment, hulls);
-        free.iter().any(|&index| {
+        unknown.iter().any(|&index| {
             held_against(&walls, scan, prepared, assignment, index, |_| false).is_misplaced()
         })
     }

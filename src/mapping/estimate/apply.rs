@@ -21,19 +21,17 @@ const MOST_PLANES: usize = 150;
 const MOST_DROPPED: usize = 4;
 
 impl Estimate {
-    /// Takes a scan in under one of its assignments.
-    pub(in crate::mapping) fn apply(
-        &mut self,
+    /// What each observation is under an assignment.
+    pub(in crate::mapping) fn verdicts(
+        &self,
         arrival: &Arrival<'_>,
         prepared: &Prepared,
         assignment: &Assignment,
         config: &AssociationConfig,
-    ) -> UpdateReport {
-        let observations = &arrival.scan.observations;
+    ) -> Vec<Verdict> {
         let landmarks = self.named(&prepared.planes);
-        let question = prepared.question(arrival, &landmarks);
-        let mut verdicts = question.decide(assignment, config);
-        for index in beyond_the_largest(observations) {
+        let mut verdicts = prepared.question(arrival, &landmarks).decide(assignment, config);
+        for index in beyond_the_largest(&arrival.scan.observations) {
             verdicts[index] = Verdict::Crowded;
         }
         // What was not compared with all that it may be is not known to be new.
@@ -42,7 +40,22 @@ impl Estimate {
                 *verdict = Verdict::Crowded;
             }
         }
-        let nis = question.joint_nis(&prepared.belief, &assignment.belief, &verdicts);
+        verdicts
+    }
+
+    /// Takes a scan in under one of its assignments, with what that says of each observation.
+    pub(in crate::mapping) fn apply(
+        &mut self,
+        arrival: &Arrival<'_>,
+        prepared: &Prepared,
+        assignment: &Assignment,
+        verdicts: &[Verdict],
+        config: &AssociationConfig,
+    ) -> UpdateReport {
+        let observations = &arrival.scan.observations;
+        let landmarks = self.named(&prepared.planes);
+        let question = prepared.question(arrival, &landmarks);
+        let nis = question.joint_nis(&prepared.belief, &assignment.belief, verdicts);
 
         let mut report = UpdateReport::begun(self.keyframes.len(), nis);
         let pairs = verdicts.iter().enumerate().filter_map(|(index, verdict)| match *verdict {

@@ -3,7 +3,7 @@
 use super::candidates::{Led, Window};
 use super::{Arrival, Estimate, Prepared};
 use crate::mapping::anchor::beside;
-use crate::mapping::association::{Assignment, AssociationConfig, Question};
+use crate::mapping::association::{Assignment, AssociationConfig, Question, Verdict};
 use crate::mapping::attitude::attitude_rows;
 use crate::mapping::belief::Belief;
 use crate::mapping::graph::{Key, scaled_errors};
@@ -236,6 +236,20 @@ impl Estimate {
         let question = prepared.question(arrival, &landmarks);
         let left_out = question.left_out(assignment, config).into_iter();
         left_out.map(|(observation, plane)| (observation, prepared.planes[plane])).collect()
+    }
+
+    /// See [`Question::may_be_displaced`].
+    pub(in crate::mapping) fn may_be_displaced(
+        &self,
+        arrival: &Arrival<'_>,
+        config: &AssociationConfig,
+        prepared: &Prepared,
+        assignment: &Assignment,
+        verdicts: &[Verdict],
+    ) -> bool {
+        let landmarks = self.named(&prepared.planes);
+        let question = prepared.question(arrival, &landmarks);
+        question.may_be_displaced(&assignment.belief, verdicts, config)
     }
 
     /// See [`Question::pieces`].

@@ -1,0 +1,303 @@
+//! The ways to go on from one explanation of all that was seen when a scan arrives.
+//!
+//! Most scans leave one: odometry leads where nearly all that is seen is known. Where little is, or what is
+//! new cannot be where it would have to be, or the correction is large, the motion may be worse than told, and
+//! what else fits is looked for in ever wider circles.
+
+use super::association::{Assignment, AssociationConfig, Verdict};
+use super::claims::{Claim, Judged, judge, recognised_share, upright_share, weigh};
+use super::estimate::{Arrival, Estimate, Prepared};
+use super::perturbation::pose_error;
+use nalgebra::Isometry3;
+
+/// How much worse than told odometry may be before the scan is no longer believed: the motion's
+/// standard deviations are widened by this when a scan does not fit the map.
+const WIDENING: f64 = 6.5;
+/// The same where that finds nothing either: wheels that slip or stick for a moment put the robot beside
+/// itself, and what it sees there may be new for the most part. Another place that fits better is no proof.
+const SLIPPED: f64 = 20.0;
+/// Most that the standard deviation of a motion over the ground is widened to, in metres.
+const WIDEST_M: f64 = 0.5;
+/// Pairs below which a scan is tried again with a widened motion.
+const FEW_PAIRS: usize = 3;
+/// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
+const LOG_SELDOM: f64 = -7.0;
+/// The same for wheels that slip or stick for a moment.
+const LOG_SLIPPED: f64 = -9.0;
+/// The same for a motion that tells nothing: a robot lifted and set down elsewhere, wheels that ran free.
+const LOG_LOST: f64 = -14.0;
+/// Share of a scan's upright area below which it may have been made elsewhere altogether.
+const LOST_SHARE: f64 = 0.25;
+/// Logarithm of how seldom a scan in the midst of a map shows nothing of it. Without it the pairs of a
+/// scan that shows three planes would be left out as often as noise makes all of them miss widely.
+const LOG_UNRECOGNISED: f64 = -5.0;
+/// Share of a scan's planes and of their area that is recognised from which on one explanation is taken as it
+/// comes.
+const KNOWN_SHARE: f64 = 0.6;
+/// Standard deviation of a motion over the ground from which on nobody has measured it.
+const OPEN_M: f64 = 0.25;
+/// Corrections that are looked at twice, whatever the odometry's noise allows, and how many pairs
+/// fewer another explanation may then have.
+const LARGE_M: f64 = 0.1;
+const LARGE_RAD: f64 = 0.03;
+/// The same for the height: a kerb beside the floor is another surface for the same wheels.
+const LARGE_UP_M: f64 = 0.03;
+const SLACK: usize = 2;
+/// Corrections that need proof.
+const FAR_M: f64 = 0.8;
+const FAR_RAD: f64 = 0.35;
+/// Two explanations that put the robot this near to each other are one.
+pub(super) const SAME_M: f64 = 0.05;
+pub(super) const SAME_RAD: f64 = 0.01;
+
+/// One way to go on.
+pub(super) struct Way {
+    /// Position of what was prepared.
+    pub(super) prepared: usize,
+    pub(super) assignment: Assignment,
+    pub(super) score: f64,
+    /// Share of the scan that contradicts it; 0 where nobody asked.
+    pub(super) refuted: f64,
+    /// Whether it has the robot carried there, against all odometry.
+    pub(super) carried: bool,
+    /// What each observation is, if that was asked.
+    pub(super) verdicts: Option<Vec<Verdict>>,
+}
+
+/// One explanation and the scan that it is to go on with.
+pub(super) struct Fork<'a> {
+    estimate: &'a Estimate,
+    arrival: &'a Arrival<'a>,
+    config: &'a AssociationConfig,
+    /// All that was prepared so far, for other explanations too.
+    prepared: &'a mut Vec<Prepared>,
+}
+
+/// What makes the best explanation that odometry leads to worth a second look.
+#[derive(Clone, Copy, Debug)]
+struct Doubts {
+    /// Its pairs, and the most that there could be.
+    pairs: usize,
+    most: usize,
+    /// It recognises hardly anything.
+    few: bool,
+    /// It moves the robot by much.
+    large: bool,
+    /// What it does not recognise could be what it does not see, or cannot be where it is.
+    displaced: bool,
+    /// It recognises hardly anything that stands upright.
+    lost: bool,
+    /// It leaves open what much of the scan is.
+    partial: bool,
+}
+
+impl Doubts {
+    fn any(self) -> bool {
+        self.few || self.large || self.displaced || self.lost || self.partial
+    }
+
+    /// Pairs that another place must show; those that the map speaks against are no measure of it.
+    fn least(self, stands: bool) -> usize {
+        if self.few || stands { self.doubled() } else { FEW_PAIRS + 1 }
+    }
+
+    fn doubled(self) -> usize {
+        (2 * self.pairs).max(FEW_PAIRS + 1)
+    }
+}
+
+impl<'a> Fork<'a> {
+    pub(super) fn new(
+        estimate: &'a Estimate,
+        arrival: &'a Arrival<'a>,
+        config: &'a AssociationConfig,
+        prepared: &'a mut Vec<Prepared>,
+    ) -> Self {
+        Self { estimate, arrival, config, prepared }
+    }
+
+    /// The ways, at least one; `alone` tells that no other explanation is alive.
+    pub(super) fn ways(mut self, alone: bool) -> Vec<Way> {
+        let (estimate, arrival, config) = (self.estimate, self.arrival, self.config);
+        let mut plain = estimate.prepare(arrival, config, 1.0);
+        let found = &plain.assignments[0];
+        let (predicted, guess) = (plain.belief.world_from_robot, found.belief.world_from_robot);
+        let verdicts = estimate.verdicts(arrival, &plain, found, config);
+        let doubts = self.doubts(&plain, &verdicts);
+        if alone && !doubts.any() && plain.assignments.len() == 1 {
+            return vec![self.as_it_comes(plain, verdicts)];
+        }
+        tracing::debug!(?doubts, "a scan that is looked at twice");
+        if doubts.large {
+            estimate.associate(arrival, config, &mut plain, SLACK);
+            if plain.assignments.iter().all(|found| is_large(found, &plain)) {
+                estimate.associate_near(arrival, config, &mut plain, LARGE_M);
+            }
+        }
+        // That nothing was recognised is an explanation too.
+        let unrecognised = Claim {
+            prepared: self.prepared.len(),
+            assignment: Assignment::none(&plain.belief),
+            log_prior: LOG_UNRECOGNISED,
+            far: false,
+            carried: false,
+            left_out: Vec::new(),
+            pieces: 0.0,
+        };
+        let mut claims = self.claims(plain, 0.0);
+        claims.push(unrecognised);
+        let mut weighed = self.weigh(claims);
+        let judged = judge(weighed.clone(), arrival.scan);
+        let best = judged.iter().max_by(|a, b| a.score.total_cmp(&b.score));
+        let stands = best.is_some_and(Judged::stands);
+        let mut elsewhere = false;
+        if !stands || doubts.few || doubts.lost || doubts.displaced {
+            let wider = self.wider(doubts, stands, &guess);
+            elsewhere = wider.iter().any(|option| leads_elsewhere(option, &guess));
+            weighed.extend(wider);
+        }
+        // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
+        if (0..2).any(|i| arrival.motion_covariance[(i, i)] > OPEN_M * OPEN_M) {
+            let within_reach = self.within_reach(&predicted);
+            elsewhere |= !within_reach.is_empty();
+            weighed.extend(within_reach);
+        }
+        if !elsewhere && (doubts.lost || !stands) {
+            let least = if doubts.lost { doubts.doubled() } else { doubts.least(stands) };
+            weighed.extend(self.carried(least, &guess));
+        }
+        let way = |judged: Judged| Way {
+            prepared: judged.prepared,
+            assignment: judged.assignment,
+            score: judged.score,
+            refuted: judged.refuted,
+            carried: judged.carried,
+            verdicts: None,
+        };
+        judge(weighed, arrival.scan).into_iter().map(way).collect()
+    }
+
+    /// The one way where nothing is in doubt.
+    fn as_it_comes(&mut self, plain: Prepared, verdicts: Vec<Verdict>) -> Way {
+        let assignment = plain.assignments[0].clone();
+        self.prepared.push(plain);
+        Way {
+            prepared: self.prepared.len() - 1,
+            assignment,
+            score: 0.0,
+            refuted: 0.0,
+            carried: false,
+            verdicts: Some(verdicts),
+        }
+    }
+
+    fn doubts(&self, plain: &Prepared, verdicts: &[Verdict]) -> Doubts {
+        let (estimate, arrival, config) = (self.estimate, self.arrival, self.config);
+        let scan = arrival.scan;
+        let found = &plain.assignments[0];
+        let pairs = found.pairs.len();
+        let most = scan.observations.len().min(config.anchors);
+        let few = !estimate.landmarks().is_empty() && pairs < (most / 3).max(FEW_PAIRS);
+        let is_unknown = |index: &usize| !matches!(verdicts[*index], Verdict::Seen(..));
+        let unknown: Vec<usize> = (0..verdicts.len()).filter(is_unknown).collect();
+        Doubts {
+            pairs,
+            most,
+            few,
+            large: is_large(found, plain),
+            displaced: estimate.may_be_displaced(arrival, config, plain, found, verdicts)
+                || estimate.misplaces(scan, plain, found, &unknown),
+            lost: few || upright_share(found, scan) < LOST_SHARE,
+            partial: (pairs as f64) < KNOWN_SHARE * most as f64
+                || recognised_share(found, scan) < KNOWN_SHARE,
+        }
+    }
+
+    /// What fits where the motion may have been worse than told, up to the least widening under which something
+    /// elsewhere stands.
+    fn wider(&mut self, doubts: Doubts, stands: bool, guess: &Isometry3<f64>) -> Vec<Judged> {
+        let Doubts { pairs, most, .. } = doubts;
+        let least = doubts.least(stands);
+        // What a scan shows beside its most telling planes may be all that differs.
+        let least_wide = if doubts.displaced { least.min(pairs.max(FEW_PAIRS + 1)) } else { least };
+        // A pair or two fit somewhere within so wide a reach whatever was seen.
+        let least_slipped = (pairs + 1).min(most).max(FEW_PAIRS);
+        let level_m2 = (0..2).map(|i| self.arrival.motion_covariance[(i, i)]).fold(0.0, f64::max);
+        let widest = (WIDEST_M / level_m2.sqrt()).max(1.0);
+        let mut found = Vec::new();
+        for (widening, log_prior, least) in
+            [(WIDENING, LOG_SELDOM, least_wide), (SLIPPED, LOG_SLIPPED, least_slipped)]
+        {
+            let widening = f64::min(widening, widest);
+            let wide = self.estimate.prepare(self.arrival, self.config, widening);
+            let mut claims = self.claims(wide, log_prior);
+            claims.retain(|claim| claim.assignment.pairs.len() >= least);
+            let weighed = self.weigh(claims);
+            let ends = weighed.iter().any(|found| found.stands() && leads_elsewhere(found, guess));
+            found.extend(weighed);
+            if ends || widening >= widest {
+                break;
+            }
+        }
+        found
+    }
+
+    /// What fits within a motion that nobody measured.
+    fn within_reach(&mut self, predicted: &Isometry3<f64>) -> Vec<Judged> {
+        let mut claims = Vec::new();
+        for (world_from_robot, log_prior) in self.estimate.within_reach(self.arrival) {
+            let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
+            let far = moves_far(predicted, &world_from_robot, FAR_M, FAR_RAD);
+            let there = self.claims(there, log_prior).into_iter();
+            claims.extend(there.map(|claim| Claim { far: claim.far || far, ..claim }));
+        }
+        self.weigh(claims)
+    }
+
+    /// What fits in places that the robot must have been carried to, with so many pairs.
+    fn carried(&mut self, least: usize, guess: &Isometry3<f64>) -> Vec<Judged> {
+        let mut claims = Vec::new();
+        for world_from_robot in self.estimate.elsewhere(self.arrival, guess) {
+            let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
+            let there = self.claims(there, LOG_LOST).into_iter();
+            let there = there.filter(|claim| claim.assignment.pairs.len() >= least);
+            claims.extend(there.map(|claim| Claim { far: true, carried: true, ..claim }));
+        }
+        self.weigh(claims)
+    }
+
+    /// The explanations of what was prepared, which is kept.
+    fn claims(&mut self, prepared: Prepared, log_prior: f64) -> Vec<Claim> {
+        let (estimate, arrival, config) = (self.estimate, self.arrival, self.config);
+        let claim = |found: &Assignment| Claim {
+            prepared: self.prepared.len(),
+            assignment: found.clone(),
+            log_prior,
+            far: found.shift_from(&prepared.belief).exceeds(FAR_M, FAR_M, FAR_RAD),
+            carried: false,
+            left_out: estimate.left_out(arrival, config, &prepared, found),
+            pieces: estimate.pieces(arrival, config, &prepared, found),
+        };
+        let claims = prepared.assignments.iter().map(claim).collect();
+        self.prepared.push(prepared);
+        claims
+    }
+
+    fn weigh(&self, claims: Vec<Claim>) -> Vec<Judged> {
+        weigh(claims, self.estimate, self.prepared, self.arrival.scan)
+    }
+}
+
+fn is_large(found: &Assignment, prepared: &Prepared) -> bool {
+    found.shift_from(&prepared.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD)
+}
+
+fn leads_elsewhere(option: &Judged, guess: &Isometry3<f64>) -> bool {
+    moves_far(guess, &option.assignment.belief.world_from_robot, SAME_M, SAME_RAD)
+}
+
+/// Whether one pose is farther from another than so much.
+pub(super) fn moves_far(a: &Isometry3<f64>, b: &Isometry3<f64>, far_m: f64, far_rad: f64) -> bool {
+    let gap = pose_error(a, b);
+    gap.fixed_rows::<3>(0).norm() > far_m || gap.fixed_rows::<3>(3).norm() > far_rad
+}
