@@ -219,7 +219,8 @@ impl<'a> Fork<'a> {
         let Doubts { pairs, most, .. } = doubts;
         let least = doubts.least(stands);
         // What a scan shows beside its most telling planes may be all that differs.
-        let least_wide = if doubts.displaced { least.min(pairs.max(FEW_PAIRS + 1)) } else { least };
+        let nearly = pairs.saturating_sub(SLACK).max(FEW_PAIRS + 1);
+        let least_wide = if doubts.displaced { least.min(nearly) } else { least };
         // A pair or two fit somewhere within so wide a reach whatever was seen.
         let least_slipped = (pairs + 1).min(most).max(FEW_PAIRS);
         let level_m2 = (0..2).map(|i| self.arrival.motion_covariance[(i, i)]).fold(0.0, f64::max);
@@ -235,10 +236,21 @@ impl<'a> Fork<'a> {
             let weighed = self.weigh(claims);
             let ends = weighed.iter().any(|found| found.stands() && leads_elsewhere(found, guess));
             found.extend(weighed);
-            if ends || widening >= widest {
+            if ends {
+                return found;
+            }
+            if widening >= widest {
                 break;
             }
         }
+        // Among many like surfaces so much fits within a wide circle that the search does not come to all of it.
+        let mut claims = Vec::new();
+        for world_from_robot in self.estimate.beside(self.arrival, FAR_M, FAR_RAD) {
+            let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
+            claims.extend(self.claims(there, LOG_SLIPPED));
+        }
+        claims.retain(|claim| claim.assignment.pairs.len() >= least_slipped);
+        found.extend(self.weigh(claims));
         found
     }
 

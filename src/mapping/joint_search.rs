@@ -238,6 +238,8 @@ impl Node {
 #[derive(Clone)]
 struct Set {
     pairs: Vec<(usize, usize)>,
+    /// How each of them fits.
+    fits: Vec<Fit>,
     /// Logarithm of how much better the pairs explain the observations than new planes would.
     score: f64,
     /// See [`Assignment::support`].
@@ -248,7 +250,7 @@ struct Set {
 
 impl Set {
     fn none(node: Rc<Node>) -> Self {
-        Self { pairs: Vec::new(), score: 0.0, support: 0.0, node }
+        Self { pairs: Vec::new(), fits: Vec::new(), score: 0.0, support: 0.0, node }
     }
 
     /// Whether it puts the robot well away from where another does, beside the planes that either takes
@@ -322,6 +324,7 @@ impl Search<'_> {
             }
             let mut next = so_far.clone();
             next.pairs.push((*observation, plane));
+            next.fits.push(fit);
             next.score += fit.score;
             next.support += fit.support;
             if !next.node.settled {
@@ -353,8 +356,26 @@ impl Search<'_> {
         fit
     }
 
-    /// Keeps a set when it is the best of its place.
-    fn file(&mut self, set: Set) {
+    /// Whether a pair of a set still holds where all of them together put the robot.
+    fn holds(&self, set: &Set, (observation, plane): (usize, usize)) -> bool {
+        let belief = &set.node.belief;
+        self.question.patches_overlap(belief, observation, plane) || {
+            let rows = self.question.rows(belief, observation, plane);
+            self.question.comparable(belief, &rows, observation, plane, self.config)
+        }
+    }
+
+    /// Keeps a set when it is the best of its place. Where the place was open at first, surfaces beside each
+    /// other were pairs that are none any more: they must not make it a larger set than one of which all hold.
+    fn file(&mut self, mut set: Set) {
+        for at in (0..set.pairs.len()).rev() {
+            if !self.holds(&set, set.pairs[at]) {
+                set.pairs.remove(at);
+                let lost = set.fits.remove(at);
+                set.score -= lost.score;
+                set.support -= lost.support;
+            }
+        }
         self.most = self.most.max(set.pairs.len());
         self.most_here = self.most_here.map(|most| most.max(set.pairs.len()));
         match self.found.iter_mut().find(|known| !known.apart_from(&set)) {

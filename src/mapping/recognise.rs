@@ -55,9 +55,9 @@ pub(super) struct Recognised {
 ///
 /// Costs about `n²/64` votes for each pair of [`VOTERS`] in a map of n upright landmarks; asked only
 /// when a scan is not recognised where it should be.
-pub(super) fn recognise(
+pub(super) fn recognise<'a>(
     scan: &[Observation],
-    landmarks: &[Landmark],
+    landmarks: impl IntoIterator<Item = &'a Landmark>,
     predicted: &Isometry3<f64>,
     reachable: impl Fn(&Vector2<f64>, f64) -> bool,
 ) -> Vec<Recognised> {
@@ -160,7 +160,7 @@ impl Planes {
         planes
     }
 
-    fn of_map(landmarks: &[Landmark]) -> Self {
+    fn of_map<'a>(landmarks: impl IntoIterator<Item = &'a Landmark>) -> Self {
         let mut planes = Self { upright: Vec::new(), level: Vec::new() };
         for landmark in landmarks {
             let corners: Vec<Vector3<f64>> = landmark.hull_points().map(|p| p.coords).collect();

@@ -8,6 +8,7 @@ use crate::mapping::attitude::attitude_rows;
 use crate::mapping::belief::Belief;
 use crate::mapping::graph::{Key, scaled_errors};
 use crate::mapping::landmark::{Landmark, LandmarkId};
+use crate::mapping::observation::Observation;
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::recognise::recognise;
@@ -129,6 +130,28 @@ impl Estimate {
         };
         let places = found.into_iter().map(|found| found.world_from_robot);
         places.map(|place| (place, log_prior(&place))).collect()
+    }
+
+    /// The places within so many metres and radians of where the motion led, all alike, where the scan fits the
+    /// map.
+    pub(in crate::mapping) fn beside(
+        &self,
+        arrival: &Arrival<'_>,
+        within_m: f64,
+        within_rad: f64,
+    ) -> Vec<Isometry3<f64>> {
+        let predicted = self.last_pose() * arrival.motion;
+        let observations = &arrival.scan.observations;
+        let hulls = || observations.iter().flat_map(Observation::hull_points);
+        let reach_m = hulls().map(|p| p.coords.norm()).fold(0.0, f64::max);
+        let landmarks = self
+            .landmarks_about(hulls().map(|p| predicted * p), within_m + within_rad * reach_m)
+            .map(|(landmark, _)| landmark);
+        let found = recognise(observations, landmarks, &predicted, |at, turn_rad| {
+            let gap = at - predicted.translation.vector.xy();
+            gap.norm() < within_m && turn_rad.abs() < within_rad
+        });
+        found.into_iter().map(|found| found.world_from_robot).collect()
     }
 
     /// [`prepare`](Self::prepare) for a scan that was recognised at a place: what odometry says of the way
