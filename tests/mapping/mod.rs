@@ -9,4 +9,5 @@ mod long_run;
 mod real_scan;
 mod recognition;
 mod situations;
+mod slips;
 mod world;

@@ -1,0 +1,123 @@
+//! Wheels that slip once, by as much as the world repeats itself by: the treads of a stair, the doors of a
+//! corridor. The scans are cast, for what a surface shows of itself decides what it may be taken for.
+
+use super::world::{rng, uniform};
+use crate::segmentation::scanner::{Noise, Scanner, scan};
+use crate::segmentation::world::{Random, World, pose};
+use nalgebra::{Isometry3, Translation3};
+use usar_agent::mapping::perturbation::pose_error;
+use usar_agent::mapping::{
+    Mapper, MapperConfig, MotionSource, ScanErrors, ScanObservations, curved_observations,
+    observations,
+};
+use usar_agent::segmentation::{SegmentationConfig, Segmenter};
+
+const HEIGHT_M: f64 = 0.6;
+
+/// A stair up to a landing, in a hall.
+fn stair(tread_m: f64) -> World {
+    let mut world = World::default();
+    world.room([-2.5, -2.2, 9.5, 2.8], 3.2);
+    for step in 0..7 {
+        let (x, z) = (3.2 + tread_m * f64::from(step), 0.16 * f64::from(step));
+        let tread_m = if step < 6 { tread_m } else { 1.8 };
+        world.patch([x, -0.9, z], [0.0, 1.7, 0.0], [0.0, 0.0, 0.16]);
+        world.patch([x, -0.9, z + 0.16], [tread_m, 0.0, 0.0], [0.0, 1.7, 0.0]);
+    }
+    world
+}
+
+/// A corridor with recessed doors on both sides, all alike, and a cupboard.
+fn corridor() -> World {
+    let (mut world, half_m, recess_m, height_m) = (World::default(), 1.1, 0.2, 2.4);
+    world.patch([-3.0, -1.3, 0.0], [15.0, 0.0, 0.0], [0.0, 2.6, 0.0]);
+    world.patch([-3.0, -1.3, height_m], [15.0, 0.0, 0.0], [0.0, 2.6, 0.0]);
+    for end in [-3.0, 12.0] {
+        world.patch([end, -1.3, 0.0], [0.0, 2.6, 0.0], [0.0, 0.0, height_m]);
+    }
+    let up = [0.0, 0.0, height_m];
+    for (door, side) in (0..6).flat_map(|door| [(door, 1.0), (door, -1.0)]) {
+        let x = -3.0 + 2.5 * f64::from(door);
+        world.patch([x, side * half_m, 0.0], [1.6, 0.0, 0.0], up);
+        world.patch([x + 1.6, side * (half_m + recess_m), 0.0], [0.9, 0.0, 0.0], up);
+        for jamb in [x + 1.6, x + 2.5] {
+            world.patch([jamb, side * half_m, 0.0], [0.0, side * recess_m, 0.0], up);
+        }
+    }
+    world.standing(7.4, 0.8, [0.5, 0.4, 1.2], 0.0);
+    world
+}
+
+/// What a robot sees along a way, and its true poses.
+fn along(world: &World, way: &[(f64, f64, f64)]) -> Vec<(ScanObservations, Isometry3<f64>)> {
+    let scanner = Scanner::paper();
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    let mut random = Random(7);
+    let mut see = |&(x, y, yaw_deg): &(f64, f64, f64)| {
+        let at = pose([x, y, HEIGHT_M], 0.0, 0.0, f64::to_radians(yaw_deg));
+        let grid = scan(world, &at, &scanner, Noise::of(0.007), &mut random).grid;
+        let segmentation = segmenter.segment(&grid);
+        let seen = ScanObservations {
+            observations: observations(segmentation, &grid, &Isometry3::identity()),
+            curves: curved_observations(segmentation, &Isometry3::identity()),
+            robot_from_scan: Isometry3::identity(),
+            errors: ScanErrors::default(),
+            contacts: Vec::new(),
+        };
+        (seen, at)
+    };
+    way.iter().map(&mut see).collect()
+}
+
+/// How far off the end of a way is when wheels are right to a few millimetres but for a slip in one step.
+fn end_off_m(seen: &[(ScanObservations, Isometry3<f64>)], at: usize, slip: [f64; 2]) -> f64 {
+    let mut rng = rng(at as u64);
+    let mut mapper = Mapper::new(MapperConfig::default(), seen[0].1);
+    mapper.observe(&seen[0].0);
+    for (step, pair) in seen.windows(2).enumerate() {
+        let slipped = if step + 1 == at { slip } else { [0.0, 0.0] };
+        let mut stray = || 0.006 * (uniform(&mut rng) - 0.5);
+        let error = Translation3::new(slipped[0] + stray(), slipped[1] + stray(), 0.0);
+        mapper.predict(&(pair[0].1.inverse() * pair[1].1 * error), MotionSource::Wheels);
+        mapper.observe(&pair[1].0);
+    }
+    let end = seen.last().expect("a way has an end").1;
+    pose_error(&mapper.world_from_robot(), &end).fixed_rows::<3>(0).norm()
+}
+
+/// Ends of all ways with one slip of `slip_m` that are off by more than 5 cm: the step and the direction.
+/// What is seen after the last step cannot mend anything, and little speaks against what it says alone.
+fn astray(seen: &[(ScanObservations, Isometry3<f64>)], slip_m: f64) -> Vec<(usize, [f64; 2], f64)> {
+    let directions = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
+    let slips = directions.map(|way| way.map(|axis| slip_m * axis));
+    let ways = (1..seen.len() - 1).flat_map(|at| slips.map(|slip| (at, slip)));
+    let ends = ways.map(|(at, slip)| (at, slip, end_off_m(seen, at, slip)));
+    ends.filter(|end| end.2 > 0.05).collect()
+}
+
+#[test]
+fn a_slip_by_a_tread_along_a_stair_is_found() {
+    let tread_m = 0.28;
+    let way = [
+        (-1.4, 0.1, 0.0),
+        (-0.9, 0.1, 6.0),
+        (-0.4, 0.2, -5.0),
+        (0.2, 0.1, 3.0),
+        (0.7, 0.1, -8.0),
+        (1.2, 0.0, 5.0),
+        (0.8, 0.0, -12.0),
+    ];
+    let seen = along(&stair(tread_m), &way);
+    for slip_m in [tread_m, 0.7 * tread_m, 2.0 * tread_m] {
+        let astray = astray(&seen, slip_m);
+        assert!(astray.is_empty(), "{slip_m}: {astray:?}");
+    }
+}
+
+#[test]
+fn a_slip_along_a_corridor_of_equal_doors_is_found() {
+    let way = [0.0, 0.7, 1.4, 2.1, 2.8, 3.5, 4.2].map(|x| (x, 0.1, 2.0 * x - 4.0));
+    let seen = along(&corridor(), &way);
+    let astray = astray(&seen, 0.3);
+    assert!(astray.is_empty(), "{astray:?}");
+}
