@@ -43,9 +43,11 @@ const LARGE_RAD: f64 = 0.03;
 /// The same for the height: a kerb beside the floor is another surface for the same wheels.
 const LARGE_UP_M: f64 = 0.03;
 const SLACK: usize = 2;
-/// Corrections that need proof.
-const FAR_M: f64 = 0.8;
-const FAR_RAD: f64 = 0.35;
+/// Corrections that need proof; where the motion was hardly measured it is so many standard deviations of it,
+/// up to the second of each: worlds repeat themselves.
+const FAR_M: (f64, f64) = (0.8, 1.25);
+const FAR_RAD: (f64, f64) = (0.35, 0.6);
+const FAR_SIGMAS: f64 = 3.5;
 /// Two explanations that put the robot this near to each other are one.
 pub(super) const SAME_M: f64 = 0.05;
 pub(super) const SAME_RAD: f64 = 0.01;
@@ -245,7 +247,7 @@ impl<'a> Fork<'a> {
         }
         // Among many like surfaces so much fits within a wide circle that the search does not come to all of it.
         let mut claims = Vec::new();
-        for world_from_robot in self.estimate.beside(self.arrival, FAR_M, FAR_RAD) {
+        for world_from_robot in self.estimate.beside(self.arrival, FAR_M.0, FAR_RAD.0) {
             let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
             claims.extend(self.claims(there, LOG_SLIPPED));
         }
@@ -259,7 +261,8 @@ impl<'a> Fork<'a> {
         let mut claims = Vec::new();
         for (world_from_robot, log_prior) in self.estimate.within_reach(self.arrival) {
             let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
-            let far = moves_far(predicted, &world_from_robot, FAR_M, FAR_RAD);
+            let (far_m, far_rad) = self.far();
+            let far = moves_far(predicted, &world_from_robot, far_m, far_rad);
             let there = self.claims(there, log_prior).into_iter();
             claims.extend(there.map(|claim| Claim { far: claim.far || far, ..claim }));
         }
@@ -281,11 +284,12 @@ impl<'a> Fork<'a> {
     /// The explanations of what was prepared, which is kept.
     fn claims(&mut self, prepared: Prepared, log_prior: f64) -> Vec<Claim> {
         let (estimate, arrival, config) = (self.estimate, self.arrival, self.config);
+        let (far_m, far_rad) = self.far();
         let claim = |found: &Assignment| Claim {
             prepared: self.prepared.len(),
             assignment: found.clone(),
             log_prior,
-            far: found.shift_from(&prepared.belief).exceeds(FAR_M, FAR_M, FAR_RAD),
+            far: found.shift_from(&prepared.belief).exceeds(far_m, far_m, far_rad),
             carried: false,
             left_out: estimate.left_out(arrival, config, &prepared, found),
             pieces: estimate.pieces(arrival, config, &prepared, found),
@@ -293,6 +297,14 @@ impl<'a> Fork<'a> {
         let claims = prepared.assignments.iter().map(claim).collect();
         self.prepared.push(prepared);
         claims
+    }
+
+    /// Correction, in metres and radians, from which on it needs proof.
+    fn far(&self) -> (f64, f64) {
+        let variance = |i: usize| self.arrival.motion_covariance[(i, i)];
+        let (level_m, turn_rad) = (variance(0).max(variance(1)).sqrt(), variance(5).sqrt());
+        let within = |x: f64, (least, most): (f64, f64)| x.clamp(least, most);
+        (within(FAR_SIGMAS * level_m, FAR_M), within(FAR_SIGMAS * turn_rad, FAR_RAD))
     }
 
     fn weigh(&self, claims: Vec<Claim>) -> Vec<Judged> {
