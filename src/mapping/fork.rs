@@ -155,7 +155,7 @@ impl<'a> Fork<'a> {
         let mut elsewhere = false;
         if !stands || doubts.few || doubts.lost || doubts.displaced {
             let wider = self.wider(doubts, stands, &guess);
-            elsewhere = wider.iter().any(|option| leads_elsewhere(option, &guess));
+            elsewhere = wider.iter().any(|found| found.stands() && leads_elsewhere(found, &guess));
             weighed.extend(wider);
         }
         // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.

@@ -1,5 +1,6 @@
 //! Wheels that slip once, by as much as the world repeats itself by: the treads of a stair, the doors of a
-//! corridor. The scans are cast, for what a surface shows of itself decides what it may be taken for.
+//! corridor; and robots that are carried back to where they were. The scans are cast, for what a surface shows
+//! of itself decides what it may be taken for.
 
 use super::world::{rng, uniform};
 use crate::segmentation::scanner::{Noise, Scanner, scan};
@@ -48,8 +49,11 @@ fn corridor() -> World {
     world
 }
 
+/// What a robot sees, and from where.
+type Seen = (ScanObservations, Isometry3<f64>);
+
 /// What a robot sees along a way, and its true poses.
-fn along(world: &World, way: &[(f64, f64, f64)]) -> Vec<(ScanObservations, Isometry3<f64>)> {
+fn along(world: &World, way: &[(f64, f64, f64)]) -> Vec<Seen> {
     let scanner = Scanner::paper();
     let mut segmenter = Segmenter::new(SegmentationConfig::default());
     let mut random = Random(7);
@@ -70,7 +74,7 @@ fn along(world: &World, way: &[(f64, f64, f64)]) -> Vec<(ScanObservations, Isome
 }
 
 /// How far off the end of a way is when wheels are right to a few millimetres but for a slip in one step.
-fn end_off_m(seen: &[(ScanObservations, Isometry3<f64>)], at: usize, slip: [f64; 2]) -> f64 {
+fn end_off_m(seen: &[Seen], at: usize, slip: [f64; 2]) -> f64 {
     let mut rng = rng(at as u64);
     let mut mapper = Mapper::new(MapperConfig::default(), seen[0].1);
     mapper.observe(&seen[0].0);
@@ -120,4 +124,26 @@ fn a_slip_along_a_corridor_of_equal_doors_is_found() {
     let seen = along(&corridor(), &way);
     let astray = astray(&seen, 0.3);
     assert!(astray.is_empty(), "{astray:?}");
+}
+
+/// Where odometry tells of a step of 0.3 m the robot is carried to where it was before, and goes on.
+#[test]
+fn a_robot_that_is_carried_back_is_known_where_it_is_set_down() {
+    let way = [-1.4, -0.9, -0.4, 0.1, 0.7, 1.2, 1.7, 2.1].map(|x| (x, 0.1, 4.0 * x));
+    let seen = along(&stair(0.28), &way);
+    // From farther on, where only treads are near, a tread beside itself fits as well.
+    for back in 0..4 {
+        let mut mapper = Mapper::new(MapperConfig::default(), seen[0].1);
+        mapper.observe(&seen[0].0);
+        let steps = (1..seen.len()).map(|to| (to - 1, to)).chain([(7, back), (back, back + 1)]);
+        for (from, to) in steps {
+            let motion = seen[from].1.inverse() * seen[to].1;
+            let is_carried = from == 7;
+            let told = if is_carried { Isometry3::translation(0.3, 0.0, 0.0) } else { motion };
+            mapper.predict(&told, MotionSource::Wheels);
+            mapper.observe(&seen[to].0);
+        }
+        let off = pose_error(&mapper.world_from_robot(), &seen[back + 1].1);
+        assert!(off.fixed_rows::<3>(0).norm() < 0.02, "back to {back}: {off}");
+    }
 }
