@@ -54,14 +54,7 @@ pub(super) const SAME_RAD: f64 = 0.01;
 
 /// One way to go on.
 pub(super) struct Way {
-    /// Position of what was prepared.
-    pub(super) prepared: usize,
-    pub(super) assignment: Assignment,
-    pub(super) score: f64,
-    /// Share of the scan that contradicts it; 0 where nobody asked.
-    pub(super) refuted: f64,
-    /// Whether it has the robot carried there, against all odometry.
-    pub(super) carried: bool,
+    pub(super) explanation: Judged,
     /// What each observation is, if that was asked.
     pub(super) verdicts: Option<Vec<Verdict>>,
 }
@@ -155,7 +148,7 @@ impl<'a> Fork<'a> {
         let mut elsewhere = false;
         if !stands || doubts.few || doubts.lost || doubts.displaced {
             let wider = self.wider(doubts, stands, &guess);
-            elsewhere = wider.iter().any(|found| found.stands() && leads_elsewhere(found, &guess));
+            elsewhere = wider.iter().any(|found| stands_elsewhere(found, &guess));
             weighed.extend(wider);
         }
         // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
@@ -168,29 +161,23 @@ impl<'a> Fork<'a> {
             let least = if doubts.lost { doubts.doubled() } else { doubts.least(stands) };
             weighed.extend(self.carried(least, &guess));
         }
-        let way = |judged: Judged| Way {
-            prepared: judged.prepared,
-            assignment: judged.assignment,
-            score: judged.score,
-            refuted: judged.refuted,
-            carried: judged.carried,
-            verdicts: None,
-        };
+        let way = |explanation| Way { explanation, verdicts: None };
         judge(weighed, arrival.scan).into_iter().map(way).collect()
     }
 
     /// The one way where nothing is in doubt.
     fn as_it_comes(&mut self, plain: Prepared, verdicts: Vec<Verdict>) -> Way {
-        let assignment = plain.assignments[0].clone();
-        self.prepared.push(plain);
-        Way {
-            prepared: self.prepared.len() - 1,
-            assignment,
+        let explanation = Judged {
+            prepared: self.prepared.len(),
+            assignment: plain.assignments[0].clone(),
             score: 0.0,
             refuted: 0.0,
+            misplaced: 0,
+            far: false,
             carried: false,
-            verdicts: Some(verdicts),
-        }
+        };
+        self.prepared.push(plain);
+        Way { explanation, verdicts: Some(verdicts) }
     }
 
     fn doubts(&self, plain: &Prepared, verdicts: &[Verdict]) -> Doubts {
@@ -226,23 +213,25 @@ impl<'a> Fork<'a> {
         // A pair or two fit somewhere within so wide a reach whatever was seen.
         let least_slipped = (pairs + 1).min(most).max(FEW_PAIRS);
         let level_m2 = (0..2).map(|i| self.arrival.motion_covariance[(i, i)]).fold(0.0, f64::max);
-        let widest = (WIDEST_M / level_m2.sqrt()).max(1.0);
-        let mut found = Vec::new();
+        let widest = WIDEST_M / level_m2.sqrt();
+        let (mut found, mut so_far) = (Vec::new(), 1.0);
         for (widening, log_prior, least) in
             [(WIDENING, LOG_SELDOM, least_wide), (SLIPPED, LOG_SLIPPED, least_slipped)]
         {
             let widening = f64::min(widening, widest);
+            // A motion that is as open already was looked at as it is.
+            if widening <= so_far {
+                break;
+            }
+            so_far = widening;
             let wide = self.estimate.prepare(self.arrival, self.config, widening);
             let mut claims = self.claims(wide, log_prior);
             claims.retain(|claim| claim.assignment.pairs.len() >= least);
             let weighed = self.weigh(claims);
-            let ends = weighed.iter().any(|found| found.stands() && leads_elsewhere(found, guess));
+            let ends = weighed.iter().any(|found| stands_elsewhere(found, guess));
             found.extend(weighed);
             if ends {
                 return found;
-            }
-            if widening >= widest {
-                break;
             }
         }
         // Among many like surfaces so much fits within a wide circle that the search does not come to all of it.
@@ -316,8 +305,9 @@ fn is_large(found: &Assignment, prepared: &Prepared) -> bool {
     found.shift_from(&prepared.belief).exceeds(LARGE_M, LARGE_UP_M, LARGE_RAD)
 }
 
-fn leads_elsewhere(option: &Judged, guess: &Isometry3<f64>) -> bool {
-    moves_far(guess, &option.assignment.belief.world_from_robot, SAME_M, SAME_RAD)
+/// Whether nothing speaks against an explanation, and it is another one than what odometry led to.
+fn stands_elsewhere(found: &Judged, guess: &Isometry3<f64>) -> bool {
+    found.stands() && moves_far(guess, &found.assignment.belief.world_from_robot, SAME_M, SAME_RAD)
 }
 
 /// Whether one pose is farther from another than so much.

@@ -123,8 +123,8 @@ impl Full {
         let ways = Fork::new(estimate, arrival, &self.config.association, prepared).ways(alone);
         branches.extend(ways.into_iter().map(|way| Branch {
             parent,
-            log_weight: log_weight + way.score,
-            carried: *carried || way.carried,
+            log_weight: log_weight + way.explanation.score,
+            carried: *carried || way.explanation.carried,
             way,
         }));
     }
@@ -147,7 +147,8 @@ impl Full {
             let from = if needed_again { parent.clone() } else { parent.take() };
             let mut from = from.expect("a parent is taken by its last branch");
             from.estimate.number_from(self.next_landmark);
-            let (prepared, assignment) = (&prepared[branch.way.prepared], &branch.way.assignment);
+            let (prepared, assignment) =
+                (&prepared[branch.way.explanation.prepared], &branch.way.explanation.assignment);
             let ask = || from.estimate.verdicts(arrival, prepared, assignment, config);
             let verdicts = branch.way.verdicts.clone().unwrap_or_else(ask);
             let report = from.estimate.apply(arrival, prepared, assignment, &verdicts, config);
@@ -256,7 +257,7 @@ const TOLD_RAD: f64 = 0.005;
 fn keep_one_per_place(branches: &mut Vec<Branch>) {
     let mut places: Vec<(usize, Isometry3<f64>)> = Vec::new();
     branches.retain(|branch| {
-        let place = branch.way.assignment.belief.world_from_robot;
+        let place = branch.way.explanation.assignment.belief.world_from_robot;
         let known = places.iter().any(|(parent, other)| {
             *parent == branch.parent && !moves_far(other, &place, SAME_M, SAME_RAD)
         });
@@ -270,9 +271,9 @@ fn keep_one_per_place(branches: &mut Vec<Branch>) {
 fn hold_back(branches: &mut [Branch]) {
     let led = branches.iter().filter(|branch| !branch.carried);
     let Some(led) = led.max_by(|a, b| a.log_weight.total_cmp(&b.log_weight)) else { return };
-    let (log_weight, refuted) = (led.log_weight, led.way.refuted);
+    let (log_weight, refuted) = (led.log_weight, led.way.explanation.refuted);
     for branch in branches.iter_mut().filter(|branch| branch.carried) {
-        if refuted <= branch.way.refuted + TOLERATED_SHARE {
+        if refuted <= branch.way.explanation.refuted + TOLERATED_SHARE {
             branch.log_weight = branch.log_weight.min(log_weight - UNPROVEN);
         }
     }

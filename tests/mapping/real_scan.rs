@@ -27,16 +27,21 @@ fn seen_from(scan: &PointGrid, pose: &Isometry3<f64>, every: usize) -> PointGrid
     PointGrid::new(scan.rows(), columns, cells.map(moved).collect())
 }
 
-fn look(mapper: &mut Mapper, grid: &PointGrid) -> (UpdateReport, usize) {
-    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+/// What a scan shows to a robot whose frame is the scan's.
+pub fn observed(segmenter: &mut Segmenter, grid: &PointGrid) -> ScanObservations {
     let segmentation = segmenter.segment(grid);
-    let scan = ScanObservations {
+    ScanObservations {
         observations: observations(segmentation, grid, &Isometry3::identity()),
         curves: curved_observations(segmentation, &Isometry3::identity()),
         robot_from_scan: Isometry3::identity(),
         errors: ScanErrors::default(),
         contacts: Vec::new(),
-    };
+    }
+}
+
+fn look(mapper: &mut Mapper, grid: &PointGrid) -> (UpdateReport, usize) {
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    let scan = observed(&mut segmenter, grid);
     (mapper.observe(&scan), scan.observations.len())
 }
 

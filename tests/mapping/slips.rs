@@ -2,15 +2,13 @@
 //! corridor; and robots that are carried back to where they were. The scans are cast, for what a surface shows
 //! of itself decides what it may be taken for.
 
+use super::real_scan::observed;
 use super::world::{rng, uniform};
 use crate::segmentation::scanner::{Noise, Scanner, scan};
 use crate::segmentation::world::{Random, World, pose};
 use nalgebra::{Isometry3, Translation3};
 use usar_agent::mapping::perturbation::pose_error;
-use usar_agent::mapping::{
-    Mapper, MapperConfig, MotionSource, ScanErrors, ScanObservations, curved_observations,
-    observations,
-};
+use usar_agent::mapping::{Mapper, MapperConfig, MotionSource, ScanObservations};
 use usar_agent::segmentation::{SegmentationConfig, Segmenter};
 
 const HEIGHT_M: f64 = 0.6;
@@ -60,15 +58,7 @@ fn along(world: &World, way: &[(f64, f64, f64)]) -> Vec<Seen> {
     let mut see = |&(x, y, yaw_deg): &(f64, f64, f64)| {
         let at = pose([x, y, HEIGHT_M], 0.0, 0.0, f64::to_radians(yaw_deg));
         let grid = scan(world, &at, &scanner, Noise::of(0.007), &mut random).grid;
-        let segmentation = segmenter.segment(&grid);
-        let seen = ScanObservations {
-            observations: observations(segmentation, &grid, &Isometry3::identity()),
-            curves: curved_observations(segmentation, &Isometry3::identity()),
-            robot_from_scan: Isometry3::identity(),
-            errors: ScanErrors::default(),
-            contacts: Vec::new(),
-        };
-        (seen, at)
+        (observed(&mut segmenter, &grid), at)
     };
     way.iter().map(&mut see).collect()
 }
@@ -91,7 +81,7 @@ fn end_off_m(seen: &[Seen], at: usize, slip: [f64; 2]) -> f64 {
 
 /// Ends of all ways with one slip of `slip_m` that are off by more than 5 cm: the step and the direction.
 /// What is seen after the last step cannot mend anything, and little speaks against what it says alone.
-fn astray(seen: &[(ScanObservations, Isometry3<f64>)], slip_m: f64) -> Vec<(usize, [f64; 2], f64)> {
+fn astray(seen: &[Seen], slip_m: f64) -> Vec<(usize, [f64; 2], f64)> {
     let directions = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
     let slips = directions.map(|way| way.map(|axis| slip_m * axis));
     let ways = (1..seen.len() - 1).flat_map(|at| slips.map(|slip| (at, slip)));
@@ -132,13 +122,14 @@ fn a_robot_that_is_carried_back_is_known_where_it_is_set_down() {
     let way = [-1.4, -0.9, -0.4, 0.1, 0.7, 1.2, 1.7, 2.1].map(|x| (x, 0.1, 4.0 * x));
     let seen = along(&stair(0.28), &way);
     // From farther on, where only treads are near, a tread beside itself fits as well.
+    let last = seen.len() - 1;
     for back in 0..4 {
         let mut mapper = Mapper::new(MapperConfig::default(), seen[0].1);
         mapper.observe(&seen[0].0);
-        let steps = (1..seen.len()).map(|to| (to - 1, to)).chain([(7, back), (back, back + 1)]);
+        let steps = (1..seen.len()).map(|to| (to - 1, to)).chain([(last, back), (back, back + 1)]);
         for (from, to) in steps {
             let motion = seen[from].1.inverse() * seen[to].1;
-            let is_carried = from == 7;
+            let is_carried = from == last;
             let told = if is_carried { Isometry3::translation(0.3, 0.0, 0.0) } else { motion };
             mapper.predict(&told, MotionSource::Wheels);
             mapper.observe(&seen[to].0);
