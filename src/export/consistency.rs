@@ -1,7 +1,7 @@
 //! Whether a map knows how wrong it is: keyframes against the truth. Nothing here reaches an agent.
 
-use super::evaluate::{Patch, UnderPatch, true_surface};
-use super::keyframes::Keyframe;
+use super::evaluate::{Patch, UnderPatch, true_surface, true_surfaces};
+use super::keyframes::{Keyframe, Sighting};
 use super::score::{at, settled_s};
 use super::truth_steps::Steps;
 use super::tum::TimedPose;
@@ -18,6 +18,9 @@ const WITHIN_95: f64 = 12.592;
 /// Two sightings lie on one true surface if that surface's planes agree to this at each other's place.
 const SAME_PLANE_M: f64 = 0.005;
 const SAME_PLANE_RAD: f64 = 0.01;
+/// A sighting lies on every surface that this share of its corners and its centroid lie on: seen from afar,
+/// surfaces a few millimetres apart, as of a person's leg and chest, are one patch.
+const ONE_OF_ITS_SURFACES: f64 = 0.25;
 /// The same for sightings themselves, which err: what lies closer together passes for one surface here.
 const SEEN_ALIKE_M: f64 = 0.03;
 const SEEN_ALIKE_RAD: f64 = 0.1;
@@ -42,7 +45,7 @@ pub struct Nees {
 /// What planes were taken for, against the surfaces of the world that they lie on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Associations {
-    /// Sightings of a landmark on the surface on which most of its sightings are.
+    /// Sightings of a landmark on the surface on which most of its sightings are; one may be on several.
     pub right: usize,
     /// Sightings on another one.
     pub wrong: usize,
@@ -91,36 +94,38 @@ pub fn associations(
     let (within_m, within_rad) =
         world.map_or((SEEN_ALIKE_M, SEEN_ALIKE_RAD), |_| (SAME_PLANE_M, SAME_PLANE_RAD));
     let pose_at = true_poses(truth)?;
-    let mut surfaces: BTreeMap<u32, Vec<UnderPatch>> = BTreeMap::new();
+    let mut surfaces: BTreeMap<u32, Vec<Vec<UnderPatch>>> = BTreeMap::new();
     let mut outlines: BTreeMap<u32, Vec<Outline>> = BTreeMap::new();
     let mut score = Associations::default();
     for keyframe in keyframes {
         let Some(pose) = pose_at(keyframe) else { continue };
-        for sighting in &keyframe.sightings {
-            let surface = match world {
-                Some(world) => true_surface(&sighting.patch, world, &pose),
-                None => Some(UnderPatch {
-                    point: pose * sighting.patch.centroid,
-                    normal: pose * sighting.patch.normal,
-                    offset_m: 0.0,
-                    tilt_deg: 0.0,
-                }),
+        for Sighting { landmark, patch } in &keyframe.sightings {
+            let as_seen = UnderPatch {
+                point: pose * patch.centroid,
+                normal: pose * patch.normal,
+                offset_m: 0.0,
+                tilt_deg: 0.0,
             };
-            match surface {
-                Some(surface) => {
-                    let outline = Outline::new(&sighting.patch, &surface, &pose);
-                    outlines.entry(sighting.landmark).or_default().extend(outline);
-                    surfaces.entry(sighting.landmark).or_default().push(surface);
-                }
-                None => score.unknown += 1,
-            }
+            let under = world.map_or(vec![as_seen], |world| true_surfaces(patch, world, &pose));
+            let whole = world.map_or(Some(as_seen), |world| true_surface(patch, world, &pose));
+            let Some(whole) = whole else {
+                score.unknown += 1;
+                continue;
+            };
+            let outline = Outline::new(patch, &whole, &pose);
+            outlines.entry(*landmark).or_default().extend(outline);
+            let own = main_surfaces(&whole, &under, within_m, within_rad);
+            surfaces.entry(*landmark).or_default().push(own);
         }
     }
     for seen in surfaces.values() {
-        let agreeing = |one: &UnderPatch| {
-            seen.iter().filter(|other| same_plane(one, other, within_m, within_rad)).count()
+        let lies_on = |sighting: &[UnderPatch], surface: &UnderPatch| {
+            sighting.iter().any(|own| same_plane(own, surface, within_m, within_rad))
         };
-        let right = seen.iter().map(agreeing).max().unwrap_or(0);
+        let sightings_on = |surface: &UnderPatch| {
+            seen.iter().filter(|sighting| lies_on(sighting, surface)).count()
+        };
+        let right = seen.iter().flatten().map(sightings_on).max().unwrap_or(0);
         score.right += right;
         score.wrong += seen.len() - right;
     }
@@ -133,6 +138,26 @@ pub fn associations(
     };
     score.doubled = outlines.iter().filter(is_double).count();
     (score != Associations::default()).then_some(score)
+}
+
+/// The surfaces that a sighting lies on, each once: that at the median of its offsets, and of those `under`
+/// its points all that enough of them lie on.
+fn main_surfaces(
+    whole: &UnderPatch,
+    under: &[UnderPatch],
+    within_m: f64,
+    within_rad: f64,
+) -> Vec<UnderPatch> {
+    let enough = ONE_OF_ITS_SURFACES * under.len() as f64;
+    let mut found = vec![*whole];
+    for surface in under {
+        let alike = |other: &&UnderPatch| same_plane(surface, other, within_m, within_rad);
+        let is_known = found.iter().any(|known| alike(&known));
+        if !is_known && under.iter().filter(alike).count() as f64 >= enough {
+            found.push(*surface);
+        }
+    }
+    found
 }
 
 /// A sighting's hull laid on the true surface that it shows.
@@ -181,7 +206,6 @@ fn same_plane(a: &UnderPatch, b: &UnderPatch, within_m: f64, within_rad: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::keyframes::Sighting;
     use crate::sim::MapFile;
     use nalgebra::Matrix6;
 
@@ -250,5 +274,35 @@ mod tests {
         ];
         let score = associations(&seen, &truth(), Some(&world)).unwrap();
         assert_eq!(score, Associations { right: 3, wrong: 0, unknown: 0, doubled: 1 });
+    }
+
+    /// From afar a step of 8 mm is not seen, from close by both of its floors are.
+    #[test]
+    fn a_sighting_that_lies_on_two_surfaces_is_right_with_either_but_they_are_not_one() {
+        let map = "name = \"m\"\nbounds = [-1.0, -2.0, 6.0, 2.0]\n\
+                   [[box]]\ncenter = [0.5, 0.0, -0.5]\nsize = [3.0, 4.0, 1.0]\n\
+                   [[box]]\ncenter = [4.0, 0.0, -0.492]\nsize = [4.0, 4.0, 1.0]\n";
+        let world = World::new(&MapFile::parse(map).unwrap(), &BTreeMap::new()).unwrap();
+        let floor = |from_m: f64, to_m: f64| Sighting {
+            landmark: 3,
+            patch: Patch {
+                normal: Vector3::z(),
+                centroid: Point3::new(0.5 * (from_m + to_m), 0.0, -0.2),
+                hull: [(from_m, -0.2), (to_m, -0.2), (to_m, 0.2), (from_m, 0.2)]
+                    .map(|(x, y)| Point3::new(x, y, -0.2))
+                    .to_vec(),
+            },
+        };
+        let score = |sightings: &[Sighting]| {
+            let seen: Vec<Keyframe> =
+                sightings.iter().map(|one| keyframe(2.0, 0.0, vec![one.clone()])).collect();
+            let score = associations(&seen, &truth(), Some(&world)).unwrap();
+            (score.right, score.wrong)
+        };
+        let (across, low, high) = (floor(1.0, 2.8), floor(0.5, 1.2), floor(2.2, 3.0));
+        assert_eq!(score(&[across.clone(), low.clone()]), (2, 0));
+        assert_eq!(score(&[across.clone(), high.clone()]), (2, 0));
+        assert_eq!(score(&[across, low.clone(), high.clone()]), (2, 1));
+        assert_eq!(score(&[low, high]), (1, 1));
     }
 }

@@ -297,25 +297,33 @@ pub(super) struct UnderPatch {
 /// How far behind what it has hit a ray is cast anew, in metres.
 const BEYOND_M: f64 = 0.005;
 
-/// The surface that most of a patch's points lie on; `None` where most lie on none. `true_from_map` leads
-/// from the patch's frame into the world.
+/// The surface that a patch lies on as a whole: at the median of its points' offsets. `None` where most lie
+/// on none. `true_from_map` leads from the patch's frame into the world.
 pub(super) fn true_surface(
     patch: &Patch,
     world: &World,
     true_from_map: &Isometry3<f64>,
 ) -> Option<UnderPatch> {
+    let mut found = true_surfaces(patch, world, true_from_map);
+    found.sort_by(|a, b| a.offset_m.total_cmp(&b.offset_m));
+    found.get(found.len() / 2).copied()
+}
+
+/// The surfaces under a patch's centroid and under each of its corners, where there is one; empty where
+/// there is none under most of them.
+pub(super) fn true_surfaces(
+    patch: &Patch,
+    world: &World,
+    true_from_map: &Isometry3<f64>,
+) -> Vec<UnderPatch> {
     let normal = true_from_map * patch.normal;
     let corners =
         patch.hull.iter().map(|corner| patch.centroid + (corner - patch.centroid) * (1.0 - INSET));
-    let mut found: Vec<UnderPatch> = std::iter::once(patch.centroid)
+    let found: Vec<UnderPatch> = std::iter::once(patch.centroid)
         .chain(corners)
         .filter_map(|point| surface_at(&(true_from_map * point), &normal, world))
         .collect();
-    if 2 * found.len() <= patch.hull.len() {
-        return None;
-    }
-    found.sort_by(|a, b| a.offset_m.total_cmp(&b.offset_m));
-    Some(found.swap_remove(found.len() / 2))
+    if 2 * found.len() > patch.hull.len() { found } else { Vec::new() }
 }
 
 /// The surface facing along `normal` that is nearest to `point`; `None` where none is near. What stands in
