@@ -2,8 +2,9 @@
 
 use super::say;
 use crate::files::pcd::read_pcd;
-use crate::scan::PointGrid;
+use crate::scan::{PointGrid, viewpoint};
 use anyhow::{Context, Result};
+use nalgebra::Point3;
 use std::io::{Read as _, Write as _};
 use std::ops::Range;
 use std::path::Path;
@@ -18,8 +19,17 @@ pub enum Format {
     Json,
 }
 
+/// An organised scan as it was seen.
+pub struct Scan {
+    /// Its points, in a frame whose origin is the viewpoint.
+    pub grid: PointGrid,
+    /// The viewpoint in the frame of the file, whose axes are the same: its origin, unless the points tell that
+    /// they were moved after they had been scanned.
+    pub viewpoint: Point3<f64>,
+}
+
 /// An organised scan from a file; `-` is standard input.
-pub fn read_scan(path: &Path) -> Result<PointGrid> {
+pub fn read_scan(path: &Path) -> Result<Scan> {
     let name = path.display();
     let bytes = if path == Path::new("-") {
         let mut bytes = Vec::new();
@@ -29,7 +39,16 @@ pub fn read_scan(path: &Path) -> Result<PointGrid> {
     };
     let bytes = bytes.with_context(|| format!("cannot read {name}"))?;
     let cloud = read_pcd(&bytes).with_context(|| format!("{name} is not a usable scan"))?;
-    cloud.into_grid().with_context(|| format!("{name} is not a usable scan"))
+    let grid = cloud.into_grid().with_context(|| format!("{name} is not a usable scan"))?;
+    let Some(viewpoint) = viewpoint(&grid) else {
+        return Ok(Scan { grid, viewpoint: Point3::origin() });
+    };
+    let Point3 { coords: v } = viewpoint;
+    say::warn(format_args!(
+        "{name} was scanned from ({:.3}, {:.3}, {:.3}) m of its frame, not from its origin: taken as seen from there",
+        v.x, v.y, v.z
+    ));
+    Ok(Scan { grid: grid.seen_from(&viewpoint), viewpoint })
 }
 
 /// `A..B` with `A < B`.

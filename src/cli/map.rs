@@ -2,7 +2,7 @@
 
 mod grid;
 
-use super::files::{Format, median, read_scan, write_stdout};
+use super::files::{Format, Scan, median, read_scan, write_stdout};
 use super::say;
 use crate::exploration::Places;
 use crate::export::keyframes::keyframes_at;
@@ -19,7 +19,7 @@ use crate::scan::RangeImage;
 use crate::segmentation::{SegmentationConfig, Segmenter};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use nalgebra::{Isometry3, Matrix6};
+use nalgebra::{Isometry3, Matrix6, Point3};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::ops::Range;
@@ -69,6 +69,8 @@ enum ModeArgument {
 struct Step {
     time_s: f64,
     planes: usize,
+    /// Where the scan was made, in its own frame.
+    viewpoint: Point3<f64>,
     report: UpdateReport,
     segment_ms: f64,
     map_ms: f64,
@@ -95,7 +97,8 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
     let mut steps = Vec::new();
     let mut images = Vec::new();
     for (k, path) in arguments.scans.iter().enumerate() {
-        let whole = read_scan(path)?;
+        let Scan { grid: whole, viewpoint } = read_scan(path)?;
+        let robot_from_scan = Isometry3::from(viewpoint.coords);
         let grid = match &arguments.columns {
             Some(columns) if columns.end > whole.columns() => bail!(
                 "{}: --columns {}..{} asked for, {} columns found",
@@ -108,7 +111,7 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
             None => whole,
         };
         if arguments.out.is_some() {
-            images.push(RangeImage::of_points(&grid));
+            images.push((RangeImage::of_points(&grid), robot_from_scan));
         }
         if k > 0 {
             match &odometry {
@@ -124,16 +127,17 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
         let segment_ms = clock.milliseconds();
         let clock = Stopwatch::start();
         let scan = ScanObservations {
-            observations: observations(segmentation, &grid, &Isometry3::identity()),
-            curves: curved_observations(segmentation, &Isometry3::identity()),
-            robot_from_scan: Isometry3::identity(),
+            observations: observations(segmentation, &grid, &robot_from_scan),
+            curves: curved_observations(segmentation, &robot_from_scan),
+            robot_from_scan,
             errors: ScanErrors::default(),
             contacts: Vec::new(),
         };
         let report = mapper.observe(&scan);
         let map_ms = clock.milliseconds();
         let time_s = odometry.as_ref().map_or(k as f64, |poses| poses[k].time_s);
-        steps.push(Step { time_s, planes: scan.observations.len(), report, segment_ms, map_ms });
+        let planes = scan.observations.len();
+        steps.push(Step { time_s, planes, viewpoint, report, segment_ms, map_ms });
     }
     let score = truth.as_ref().map(|truth| Score::new(&mapper, truth));
     let document = document(&mapper, &steps, score.as_ref());
@@ -254,6 +258,7 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
             json!({
                 "time_s": step.time_s,
                 "planes": step.planes,
+                "viewpoint": step.viewpoint,
                 "associations": report.associations.len() + report.curves_known,
                 "added": report.added.len() + report.curves_new,
                 "refused": report.refused.len(),
@@ -277,23 +282,29 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
 }
 
 /// The grid that navigation would use, in the formats of a run folder.
-fn write_grid(folder: &Path, mapper: &Mapper, images: &[RangeImage]) -> Result<()> {
-    let keyframes = mapper.keyframes();
-    let above_m = grid::sensor_above_floor(mapper.landmarks(), &keyframes).unwrap_or_else(|| {
+fn write_grid(
+    folder: &Path,
+    mapper: &Mapper,
+    images: &[(RangeImage, Isometry3<f64>)],
+) -> Result<()> {
+    let sensors: Vec<Isometry3<f64>> =
+        mapper.keyframes().iter().zip(images).map(|(pose, (_, sensor))| pose * sensor).collect();
+    let images: Vec<&RangeImage> = images.iter().map(|(image, _)| image).collect();
+    let above_m = grid::sensor_above_floor(mapper.landmarks(), &sensors).unwrap_or_else(|| {
         let supposed_m = grid::SUPPOSED_HEIGHT_M;
         say::warn(format_args!(
             "no floor was seen below the sensor: the grid supposes it {supposed_m} m down"
         ));
         supposed_m
     });
-    let grid = grid::grid(images, &keyframes, above_m);
+    let grid = grid::grid(&images, &sensors, above_m);
     let map = trinary_map(&grid);
     let title = format!("{} scans", images.len());
     write(folder, "map.pgm", &map.pgm())?;
     write(folder, "map.yaml", map.yaml("map.pgm").as_bytes())?;
     let places = Places::default().renewed(&grid);
     write(folder, "places.json", &serde_json::to_vec_pretty(&places)?)?;
-    write(folder, "map.png", &grid::picture(&grid, places, &keyframes, title).to_png())
+    write(folder, "map.png", &grid::picture(&grid, places, &sensors, title).to_png())
 }
 
 fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {

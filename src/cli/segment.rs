@@ -1,6 +1,6 @@
 //! `usar segment`: one organised scan through segmentation and fitting.
 
-use super::files::{Format, parse_columns, read_scan, write_stdout};
+use super::files::{Format, Scan, parse_columns, read_scan, write_stdout};
 use crate::export::segment_images::write_stage_images;
 use crate::files::replace::replace_file;
 use crate::scan::PointGrid;
@@ -69,7 +69,7 @@ enum MethodArgument {
 /// An unreadable, invalid or unorganised scan, columns that it has not, an output that cannot be
 /// written.
 pub fn run(arguments: &SegmentArguments) -> Result<ExitCode> {
-    let whole = read_scan(&arguments.scan)?;
+    let Scan { grid: whole, viewpoint } = read_scan(&arguments.scan)?;
     let columns = arguments.columns.clone().unwrap_or(0..whole.columns());
     if columns.end > whole.columns() {
         bail!(
@@ -92,9 +92,12 @@ pub fn run(arguments: &SegmentArguments) -> Result<ExitCode> {
     }
     let mut segmenter = Segmenter::new(config);
     let times = time_runs(&mut segmenter, &grid, arguments.repeat);
-    let segmentation = segmenter.result();
+    let seen = segmenter.result();
+    let surfaces = seen.surfaces.iter().map(|surface| surface.translated(&viewpoint.coords));
+    let segmentation = &Segmentation { surfaces: surfaces.collect(), ..seen.clone() };
 
-    let document = document(segmentation, &segmenter.errors(), &whole, &times);
+    let mut document = document(segmentation, &segmenter.errors(), &whole, &times);
+    document["viewpoint"] = json!(viewpoint);
     if let Some(path) = &arguments.labels {
         let png = labels_png(segmentation, &whole, &columns)?;
         replace_file(path, &png).with_context(|| format!("cannot write {}", path.display()))?;

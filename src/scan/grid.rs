@@ -1,5 +1,5 @@
 use super::Rounding;
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 /// An organised cloud: `rows × columns` points in one frame whose origin is the viewpoint.
 ///
@@ -79,6 +79,16 @@ impl PointGrid {
         let [x, y, z] = self.points[row * self.columns + column];
         (x.is_finite() && y.is_finite() && z.is_finite())
             .then(|| Point3::new(f64::from(x), f64::from(y), f64::from(z)))
+    }
+
+    /// The grid in a frame whose axes are the same and whose origin is `viewpoint`.
+    #[must_use]
+    pub fn seen_from(self, viewpoint: &Point3<f64>) -> Self {
+        let moved = |[x, y, z]: [f32; 3]| {
+            let point = Vector3::new(f64::from(x), f64::from(y), f64::from(z)) - viewpoint.coords;
+            point.map(|v| v as f32).into()
+        };
+        Self { points: self.points.into_iter().map(moved).collect(), ..self }
     }
 
     /// The grid of the columns `columns` alone, cut to those that exist.

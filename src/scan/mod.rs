@@ -10,8 +10,10 @@ mod image;
 mod line;
 mod points;
 mod rounding;
+mod viewpoint;
 
 pub use grid::PointGrid;
 pub use image::{ImageRow, RangeImage};
 pub use line::{LaserLine, Return};
 pub use rounding::{Rounding, are_whole_steps, range_step_m};
+pub use viewpoint::viewpoint;

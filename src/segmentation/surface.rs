@@ -105,6 +105,22 @@ pub struct Rejected {
     pub reason: String,
 }
 
+impl Surface {
+    /// The same surface in a frame of the same axes, in which the grid's origin lies at `by`.
+    #[must_use]
+    pub fn translated(&self, by: &Vector3<f64>) -> Self {
+        let mut moved = self.clone();
+        moved.centroid += by;
+        match &mut moved.shape {
+            Shape::Plane(patch) => patch.grid_from_plane.translation.vector += by,
+            Shape::Sphere(sphere) => sphere.centre += by,
+            Shape::Cylinder(cylinder) => cylinder.axis_point += by,
+            Shape::Other => {}
+        }
+        moved
+    }
+}
+
 impl Cylinder {
     /// Pose of the axis in the frame of the grid: origin in the middle of the measured part, x and y
     /// along the two directions of the covariance, z along the axis.

@@ -21,8 +21,8 @@ const MOST_ASSUMED_M: f64 = 2.0;
 
 /// How far the sensor is above the floor at its first pose: above the greatest level surface that
 /// lies below it and faces up. `None` where there is none.
-pub fn sensor_above_floor(landmarks: &[Landmark], keyframes: &[Isometry3<f64>]) -> Option<f64> {
-    let eye = keyframes.first()?.translation.vector;
+pub fn sensor_above_floor(landmarks: &[Landmark], sensors: &[Isometry3<f64>]) -> Option<f64> {
+    let eye = sensors.first()?.translation.vector;
     landmarks
         .iter()
         .map(|landmark| (landmark, landmark.plane()))
@@ -39,19 +39,19 @@ pub fn sensor_above_floor(landmarks: &[Landmark], keyframes: &[Isometry3<f64>]) 
 /// The grid on the level of the last scan, for a robot of the default shape that carries the sensor
 /// `above_m` over the floor. Where it stood there was ground: the disc that the sensor cannot see into
 /// is assumed.
-pub fn grid(images: &[RangeImage], keyframes: &[Isometry3<f64>], above_m: f64) -> Grid {
+pub fn grid(images: &[&RangeImage], sensors: &[Isometry3<f64>], above_m: f64) -> Grid {
     let shape = RobotShape {
         base_above_floor_m: above_m,
         height_m: RobotShape::default().height_m.max(above_m + 0.1),
         ..RobotShape::default()
     };
     let mut terrain = Terrain::new(TerrainConfig::default(), shape.clone());
-    for (image, pose) in images.iter().zip(keyframes) {
+    for (image, pose) in images.iter().zip(sensors) {
         let blind_m = nearest_ground(image, above_m).unwrap_or_default();
         terrain.assume(pose, blind_m.clamp(shape.circumscribed_radius_m(), MOST_ASSUMED_M));
         terrain.integrate(image, pose);
     }
-    terrain.project(&keyframes.last().copied().unwrap_or_default())
+    terrain.project(&sensors.last().copied().unwrap_or_default())
 }
 
 /// Distance from the sensor to the nearest point at the floor's height.
@@ -65,8 +65,8 @@ fn nearest_ground(image: &RangeImage, above_m: f64) -> Option<f64> {
 }
 
 /// The grid for people, with rooms, doorways and the way of the sensor.
-pub fn picture(grid: &Grid, places: Places, keyframes: &[Isometry3<f64>], title: String) -> Canvas {
-    let sweeps = keyframes.iter().map(|pose| pose.translation.vector.xy().into()).collect();
-    let trajectory = keyframes.to_vec();
+pub fn picture(grid: &Grid, places: Places, sensors: &[Isometry3<f64>], title: String) -> Canvas {
+    let sweeps = sensors.iter().map(|pose| pose.translation.vector.xy().into()).collect();
+    let trajectory = sensors.to_vec();
     map_picture::draw(grid, &Overlay { title, trajectory, sweeps, places, ..Overlay::default() })
 }
