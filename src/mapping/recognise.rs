@@ -1,8 +1,9 @@
 //! Places recognised by the geometry of planes alone: by the angles between them, their distances and
 //! their extents, wherever odometry says the robot is.
 //!
-//! The robot knows which way is up. Two upright planes that are no parallels, taken for two landmarks
-//! that enclose the same angle, then tell heading and place; every such pair of pairs votes, and the
+//! The robot knows which way is up, a scanner that nobody described which way its z points. Two planes that
+//! rise, as walls and ramps do, and do not face the same way over the ground, taken for two landmarks that
+//! enclose the same angle, then tell heading and place; every such pair of pairs votes, and the
 //! places with most votes are held against all planes of the scan. What is found here proposes where a
 //! scan may have been made; whether it was is for the association and the map to say.
 
@@ -12,10 +13,9 @@ use crate::geometry::wrap_pi;
 use nalgebra::{Isometry3, Matrix2, Translation3, UnitQuaternion, Vector2, Vector3};
 use std::collections::BTreeMap;
 
-/// A normal's rise above which a plane is level, and below which it is upright.
+/// A normal's rise above which a plane is level: where it lies over the ground says nothing.
 const LEVEL: f64 = 0.9;
-const UPRIGHT: f64 = 0.3;
-/// Upright planes of the scan that vote, the largest first, and those that any vote must contain one of.
+/// Rising planes of the scan that vote, the largest first, and those that any vote must contain one of.
 const VOTERS: usize = 8;
 const LEADERS: usize = 3;
 /// Smallest angle between two planes that fix a place together.
@@ -53,7 +53,7 @@ pub(super) struct Recognised {
 /// floor tells it, the height are believed; `reachable` tells of a place over the ground, x, y and the turn
 /// after `predicted`, whether the robot can be there.
 ///
-/// Costs about `n²/64` votes for each pair of [`VOTERS`] in a map of n upright landmarks; asked only
+/// Costs about `n²/64` votes for each pair of [`VOTERS`] in a map of n rising landmarks; asked only
 /// when a scan is not recognised where it should be.
 pub(super) fn recognise<'a>(
     scan: &[Observation],
@@ -64,13 +64,13 @@ pub(super) fn recognise<'a>(
     let seen = Planes::of_scan(scan, &predicted.rotation);
     let map = Planes::of_map(landmarks);
     let mut votes: BTreeMap<(i32, i32, i32), (f64, Place)> = BTreeMap::new();
-    for (first, a) in seen.upright.iter().take(LEADERS).enumerate() {
-        for b in seen.upright.iter().take(VOTERS).skip(first + 1) {
+    for (first, a) in seen.rising.iter().take(LEADERS).enumerate() {
+        for b in seen.rising.iter().take(VOTERS).skip(first + 1) {
             let between = wrap_pi(b.azimuth_rad - a.azimuth_rad);
             if !(LEAST_ANGLE_RAD..std::f64::consts::PI - LEAST_ANGLE_RAD).contains(&between.abs()) {
                 continue;
             }
-            map.places(a, b, |place| {
+            map.places(a, b, predicted.translation.z, |place| {
                 if !reachable(&place.at, wrap_pi(place.turn_rad)) {
                     return;
                 }
@@ -117,17 +117,15 @@ impl Place {
     }
 }
 
-/// A plane in a frame whose z points up.
-struct Upright {
+/// A plane that rises, in a frame whose z points up.
+struct Rising {
+    /// Direction of the normal over the ground, as an angle and as a vector, and what it rises by.
     azimuth_rad: f64,
-    rise: f64,
-    /// Direction of the normal over the ground, and the plane's distance along it.
     normal: Vector2<f64>,
-    offset_m: f64,
-    /// Middle and half-length along the ground; middle and half-height.
-    middle: Vector2<f64>,
+    rise: f64,
+    /// A point of the plane in the middle of it, half of what it extends along the ground, and up.
+    middle: Vector3<f64>,
     half_length_m: f64,
-    middle_z_m: f64,
     half_height_m: f64,
     area_m2: f64,
 }
@@ -143,30 +141,30 @@ struct Level {
 
 struct Planes {
     /// Of a scan by area, of a map by azimuth.
-    upright: Vec<Upright>,
+    rising: Vec<Rising>,
     level: Vec<Level>,
 }
 
 impl Planes {
     fn of_scan(scan: &[Observation], attitude: &UnitQuaternion<f64>) -> Self {
-        let mut planes = Self { upright: Vec::new(), level: Vec::new() };
+        let mut planes = Self { rising: Vec::new(), level: Vec::new() };
         for seen in scan {
             let normal = attitude * seen.normal();
             let corners: Vec<Vector3<f64>> =
                 seen.hull_points().map(|p| attitude * p.coords).collect();
             planes.add(&normal, &corners, seen.area_m2());
         }
-        planes.upright.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
+        planes.rising.sort_by(|a, b| b.area_m2.total_cmp(&a.area_m2));
         planes
     }
 
     fn of_map<'a>(landmarks: impl IntoIterator<Item = &'a Landmark>) -> Self {
-        let mut planes = Self { upright: Vec::new(), level: Vec::new() };
+        let mut planes = Self { rising: Vec::new(), level: Vec::new() };
         for landmark in landmarks {
             let corners: Vec<Vector3<f64>> = landmark.hull_points().map(|p| p.coords).collect();
             planes.add(&landmark.normal(), &corners, landmark.area_m2());
         }
-        planes.upright.sort_by(|a, b| a.azimuth_rad.total_cmp(&b.azimuth_rad));
+        planes.rising.sort_by(|a, b| a.azimuth_rad.total_cmp(&b.azimuth_rad));
         planes
     }
 
@@ -186,52 +184,53 @@ impl Planes {
                 radius_m: 0.5 * (high - low).xy().norm(),
                 area_m2,
             });
-        } else if normal.z.abs() < UPRIGHT {
+        } else {
             let flat = normal.xy().normalize();
             let along = Vector2::new(-flat.y, flat.x);
-            let (least, most) = corners
-                .iter()
-                .map(|p| along.dot(&p.xy()))
-                .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), x| {
-                    (least.min(x), most.max(x))
-                });
-            let offset_m =
-                corners.iter().map(|p| flat.dot(&p.xy())).sum::<f64>() / corners.len() as f64;
-            self.upright.push(Upright {
+            let reach = |p: &Vector3<f64>| along.dot(&p.xy());
+            let least = corners.iter().map(reach).fold(f64::INFINITY, f64::min);
+            let most = corners.iter().map(reach).fold(f64::NEG_INFINITY, f64::max);
+            let mean = corners.iter().sum::<Vector3<f64>>() / corners.len() as f64;
+            // Along the ground the plane goes on at one height: the point is on it, too.
+            let aside = along * (0.5 * (least + most) - reach(&mean));
+            self.rising.push(Rising {
                 azimuth_rad: flat.y.atan2(flat.x),
-                rise: normal.z,
                 normal: flat,
-                offset_m,
-                middle: flat * offset_m + along * (0.5 * (least + most)),
+                rise: normal.z,
+                middle: mean + Vector3::new(aside.x, aside.y, 0.0),
                 half_length_m: 0.5 * (most - least),
-                middle_z_m: middle.z,
                 half_height_m: 0.5 * (high.z - low.z),
                 area_m2,
             });
         }
     }
 
-    /// Calls `emit` with each place where `a` and `b` of a scan fit two landmarks.
-    fn places(&self, a: &Upright, b: &Upright, mut emit: impl FnMut(Place)) {
-        let apart_m = (b.middle - a.middle).norm() + 2.0 * BEYOND_M;
-        for first in self.upright.iter().filter(|first| (first.rise - a.rise).abs() < RISE) {
+    /// Calls `emit` with each place, `up_m` high, where `a` and `b` of a scan fit two landmarks.
+    fn places(&self, a: &Rising, b: &Rising, up_m: f64, mut emit: impl FnMut(Place)) {
+        let apart_m = (b.middle - a.middle).xy().norm() + 2.0 * BEYOND_M;
+        for first in self.rising.iter().filter(|first| (first.rise - a.rise).abs() < RISE) {
             let turn_rad = wrap_pi(first.azimuth_rad - a.azimuth_rad);
             let turn = nalgebra::Rotation2::new(turn_rad);
             for second in self.facing(b.azimuth_rad + turn_rad) {
                 // Landmarks too far apart for both to be seen are most of a large map.
                 let most_m = apart_m + first.half_length_m + second.half_length_m;
-                if (second.middle - first.middle).norm_squared() > most_m * most_m
+                if (second.middle - first.middle).xy().norm_squared() > most_m * most_m
                     || (second.rise - b.rise).abs() >= RISE
                 {
                     continue;
                 }
-                // n · (turn p + at) = offset for both.
+                // n · (turn p + at) is where the landmark lies along n at that height, for both.
                 let rows =
                     Matrix2::from_rows(&[first.normal.transpose(), second.normal.transpose()]);
-                let gaps = Vector2::new(first.offset_m - a.offset_m, second.offset_m - b.offset_m);
+                let gap = |seen: &Rising, landmark: &Rising| {
+                    let along_m = landmark.along_m(seen.middle.z + up_m);
+                    along_m - landmark.normal.dot(&(turn * seen.middle.xy()))
+                };
+                let gaps = Vector2::new(gap(a, first), gap(b, second));
                 let Some(at) = rows.try_inverse().map(|inverse| inverse * gaps) else { continue };
-                let lies =
-                    |seen: &Upright, landmark: &Upright| landmark.spans(&(turn * seen.middle + at));
+                let lies = |seen: &Rising, landmark: &Rising| {
+                    landmark.spans(&(turn * seen.middle.xy() + at))
+                };
                 if lies(a, first) && lies(b, second) {
                     emit(Place { turn_rad, at });
                 }
@@ -239,13 +238,13 @@ impl Planes {
         }
     }
 
-    /// The upright planes whose normals point in a direction over the ground.
-    fn facing(&self, azimuth_rad: f64) -> impl Iterator<Item = &Upright> {
+    /// The rising planes whose normals point in a direction over the ground.
+    fn facing(&self, azimuth_rad: f64) -> impl Iterator<Item = &Rising> {
         let azimuth_rad = wrap_pi(azimuth_rad);
         let within = |low: f64, high: f64| {
-            let from = self.upright.partition_point(|plane| plane.azimuth_rad < low);
-            let to = self.upright.partition_point(|plane| plane.azimuth_rad <= high);
-            &self.upright[from..to.max(from)]
+            let from = self.rising.partition_point(|plane| plane.azimuth_rad < low);
+            let to = self.rising.partition_point(|plane| plane.azimuth_rad <= high);
+            &self.rising[from..to.max(from)]
         };
         let (low, high) = (azimuth_rad - ANGLE_RAD, azimuth_rad + ANGLE_RAD);
         let turn = std::f64::consts::TAU;
@@ -264,16 +263,17 @@ impl Planes {
     ) -> Option<Recognised> {
         let turn = nalgebra::Rotation2::new(place.turn_rad);
         let up_m = self.height(seen, place).unwrap_or(predicted.translation.z);
-        let whole: f64 = seen.upright.iter().map(|plane| plane.area_m2).sum();
+        let whole: f64 = seen.rising.iter().map(|plane| plane.area_m2).sum();
         let (mut fitting, mut area_m2) = (0, 0.0);
-        for plane in &seen.upright {
-            let middle = turn * plane.middle + place.at;
+        for plane in &seen.rising {
+            let middle = turn * plane.middle.xy() + place.at;
+            let middle_z_m = plane.middle.z + up_m;
             let fits = self.facing(plane.azimuth_rad + place.turn_rad).any(|landmark| {
+                let beside_m = landmark.normal.dot(&middle) - landmark.along_m(middle_z_m);
                 (landmark.rise - plane.rise).abs() < RISE
-                    && (landmark.normal.dot(&middle) - landmark.offset_m).abs() < OFFSET_M
+                    && beside_m.abs() < OFFSET_M
                     && landmark.spans(&middle)
-                    && (landmark.middle_z_m - plane.middle_z_m - up_m).abs()
-                        < landmark.half_height_m + BEYOND_M
+                    && (landmark.middle.z - middle_z_m).abs() < landmark.half_height_m + BEYOND_M
             });
             if fits {
                 fitting += 1;
@@ -310,10 +310,16 @@ impl Planes {
     }
 }
 
-impl Upright {
+impl Rising {
     /// Whether a place over the ground lies beside the plane, between its ends.
     fn spans(&self, p: &Vector2<f64>) -> bool {
         let along = Vector2::new(-self.normal.y, self.normal.x);
-        along.dot(&(p - self.middle)).abs() < self.half_length_m + BEYOND_M
+        along.dot(&(p - self.middle.xy())).abs() < self.half_length_m + BEYOND_M
+    }
+
+    /// Where the plane is at some height, along its normal over the ground.
+    fn along_m(&self, z_m: f64) -> f64 {
+        let level = (1.0 - self.rise * self.rise).sqrt();
+        self.normal.dot(&self.middle.xy()) - (z_m - self.middle.z) * self.rise / level
     }
 }

@@ -357,7 +357,7 @@ mod tests {
     #[test]
     fn what_no_scanner_made_has_no_viewpoint() {
         // Heights over a level grid: beams that never meet.
-        let height = |i: u16, k: u16| if (i / 7 + k / 9) % 2 == 0 { 0.5 } else { -0.2 };
+        let height = |i: u16, k: u16| if (i / 7 + k / 9).is_multiple_of(2) { 0.5 } else { -0.2 };
         let cell = |i, k| [f32::from(i) * 0.05, f32::from(k) * 0.05, height(i, k)];
         let level = (0..60).flat_map(|i| (0..60).map(move |k| cell(i, k)));
         assert_eq!(viewpoint(&PointGrid::new(60, 60, level.collect())), None);
