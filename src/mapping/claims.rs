@@ -2,9 +2,10 @@
 
 use super::association::Assignment;
 use super::estimate::{Estimate, Prepared};
+use super::fork::{SAME_M, SAME_RAD, moves_far};
 use super::landmark::LandmarkId;
 use super::scan_errors::ScanObservations;
-use nalgebra::Matrix3;
+use nalgebra::{Isometry3, Matrix3};
 
 /// Rise of a normal, seen by the robot, above which a plane is level.
 const LEVEL: f64 = 0.8;
@@ -95,18 +96,24 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
     let near_is_wrong = |refuted: f64| near_refuted > refuted + TOLERATED_SHARE;
     // A room like another proves nothing: odometry must be wrong before a robot was carried.
     judged.retain(|option| !option.carried || near_is_wrong(option.refuted));
-    let far_places = judged.iter().filter(|option| option.far).count();
+    let place = |option: &Judged| option.assignment.belief.world_from_robot;
+    let mut far_places: Vec<Isometry3<f64>> = Vec::new();
+    for there in judged.iter().filter(|option| option.far).map(place) {
+        if far_places.iter().all(|other| moves_far(other, &there, SAME_M, SAME_RAD)) {
+            far_places.push(there);
+        }
+    }
     for option in &mut judged {
         // What lies far from the prediction needs more than a good fit: worlds repeat themselves.
         let proven = !option.far
-            || (far_places == 1
+            || (far_places.len() == 1
                 && option.refuted < TOLERATED_SHARE
                 && near_is_wrong(option.refuted)
                 && proven(&option.assignment, scan));
         if !proven {
             option.score = option.score.min(near_score - UNPROVEN);
         }
-        let at = option.assignment.belief.world_from_robot;
+        let at = place(option);
         tracing::debug!(
             x = at.translation.x,
             y = at.translation.y,
