@@ -94,20 +94,20 @@ pub fn associations(
     let (within_m, within_rad) =
         world.map_or((SEEN_ALIKE_M, SEEN_ALIKE_RAD), |_| (SAME_PLANE_M, SAME_PLANE_RAD));
     let pose_at = true_poses(truth)?;
-    let mut surfaces: BTreeMap<u32, Vec<Vec<UnderPatch>>> = BTreeMap::new();
+    let mut surfaces: BTreeMap<u32, Vec<Vec<SeenPlane>>> = BTreeMap::new();
     let mut outlines: BTreeMap<u32, Vec<Outline>> = BTreeMap::new();
     let mut score = Associations::default();
     for keyframe in keyframes {
         let Some(pose) = pose_at(keyframe) else { continue };
         for Sighting { landmark, patch } in &keyframe.sightings {
-            let as_seen = UnderPatch {
-                point: pose * patch.centroid,
-                normal: pose * patch.normal,
-                offset_m: 0.0,
-                tilt_deg: 0.0,
+            let as_seen = SeenPlane::of_sighting(patch, &pose);
+            let (whole, under) = match world {
+                Some(world) => (
+                    true_surface(patch, world, &pose).map(SeenPlane::from),
+                    true_surfaces(patch, world, &pose).into_iter().map(SeenPlane::from).collect(),
+                ),
+                None => (Some(as_seen), vec![as_seen]),
             };
-            let under = world.map_or(vec![as_seen], |world| true_surfaces(patch, world, &pose));
-            let whole = world.map_or(Some(as_seen), |world| true_surface(patch, world, &pose));
             let Some(whole) = whole else {
                 score.unknown += 1;
                 continue;
@@ -119,12 +119,11 @@ pub fn associations(
         }
     }
     for seen in surfaces.values() {
-        let lies_on = |sighting: &[UnderPatch], surface: &UnderPatch| {
+        let lies_on = |sighting: &[SeenPlane], surface: &SeenPlane| {
             sighting.iter().any(|own| same_plane(own, surface, within_m, within_rad))
         };
-        let sightings_on = |surface: &UnderPatch| {
-            seen.iter().filter(|sighting| lies_on(sighting, surface)).count()
-        };
+        let sightings_on =
+            |surface: &SeenPlane| seen.iter().filter(|sighting| lies_on(sighting, surface)).count();
         let right = seen.iter().flatten().map(sightings_on).max().unwrap_or(0);
         score.right += right;
         score.wrong += seen.len() - right;
@@ -140,18 +139,53 @@ pub fn associations(
     (score != Associations::default()).then_some(score)
 }
 
+/// A plane that a sighting lies on.
+#[derive(Clone, Copy, Debug)]
+struct SeenPlane {
+    point: Point3<f64>,
+    normal: Vector3<f64>,
+    /// By how much its normal may be off.
+    open_rad: f64,
+}
+
+impl From<UnderPatch> for SeenPlane {
+    fn from(UnderPatch { point, normal, .. }: UnderPatch) -> Self {
+        Self { point, normal, open_rad: 0.0 }
+    }
+}
+
+impl SeenPlane {
+    /// The sighting's own plane where it was truly made: that of a board's edge says nothing of how the edge is
+    /// turned about its length.
+    fn of_sighting(patch: &Patch, pose: &Isometry3<f64>) -> Self {
+        let open_rad = (SEEN_ALIKE_M / (0.5 * width_m(patch)).max(1e-6)).atan();
+        Self { point: pose * patch.centroid, normal: pose * patch.normal, open_rad }
+    }
+}
+
+/// Least width of a patch's hull in its plane, in metres.
+fn width_m(patch: &Patch) -> f64 {
+    let next = patch.hull.iter().cycle().skip(1);
+    let across = patch.hull.iter().zip(next).filter_map(|(corner, next)| {
+        let across = patch.normal.cross(&(next - corner)).try_normalize(1e-9)?;
+        let beside = patch.hull.iter().map(|other| across.dot(&(other - corner)).abs());
+        Some(beside.fold(0.0, f64::max))
+    });
+    across.min_by(f64::total_cmp).unwrap_or(0.0)
+}
+
 /// The surfaces that a sighting lies on, each once: that at the median of its offsets, and of those `under`
 /// its points all that enough of them lie on.
 fn main_surfaces(
-    whole: &UnderPatch,
-    under: &[UnderPatch],
+    whole: &SeenPlane,
+    under: &[SeenPlane],
     within_m: f64,
     within_rad: f64,
-) -> Vec<UnderPatch> {
+) -> Vec<SeenPlane> {
     let enough = ONE_OF_ITS_SURFACES * under.len() as f64;
     let mut found = vec![*whole];
     for surface in under {
-        let alike = |other: &&UnderPatch| same_plane(surface, other, within_m, within_rad);
+        let alike = |other: &&SeenPlane| same_plane(surface, other, within_m, within_rad);
         let is_known = found.iter().any(|known| alike(&known));
         if !is_known && under.iter().filter(alike).count() as f64 >= enough {
             found.push(*surface);
@@ -162,7 +196,7 @@ fn main_surfaces(
 
 /// A sighting's hull laid on the true surface that it shows.
 struct Outline {
-    surface: UnderPatch,
+    surface: SeenPlane,
     surface_from_world: Isometry3<f64>,
     middle: Point3<f64>,
     hull: Vec<Point2<f64>>,
@@ -170,7 +204,7 @@ struct Outline {
 
 impl Outline {
     /// `None` where the surface has no normal.
-    fn new(patch: &Patch, surface: &UnderPatch, world_from_robot: &Isometry3<f64>) -> Option<Self> {
+    fn new(patch: &Patch, surface: &SeenPlane, world_from_robot: &Isometry3<f64>) -> Option<Self> {
         let normal = Unit::try_new(surface.normal, 0.5)?;
         let up = if normal.z.abs() < 0.9 { Vector3::z() } else { Vector3::x() };
         let surface_from_world =
@@ -196,11 +230,12 @@ fn true_poses(truth: &[TimedPose]) -> Option<impl Fn(&Keyframe) -> Option<Isomet
     Some(move |keyframe: &Keyframe| at(truth, keyframe.time_s?.max(from_s)))
 }
 
-/// Whether two true surfaces are of one plane.
-fn same_plane(a: &UnderPatch, b: &UnderPatch, within_m: f64, within_rad: f64) -> bool {
+/// Whether two planes are one, as far as they are known.
+fn same_plane(a: &SeenPlane, b: &SeenPlane, within_m: f64, within_rad: f64) -> bool {
     let apart = b.point - a.point;
     let off_m = apart.dot(&a.normal).abs().min(apart.dot(&b.normal).abs());
-    a.normal.angle(&b.normal) <= within_rad && off_m <= within_m
+    let open_rad = a.open_rad.max(b.open_rad);
+    a.normal.angle(&b.normal) <= within_rad + open_rad && off_m <= within_m
 }
 
 #[cfg(test)]
@@ -304,5 +339,25 @@ mod tests {
         assert_eq!(score(&[across.clone(), high.clone()]), (2, 0));
         assert_eq!(score(&[across, low.clone(), high.clone()]), (2, 1));
         assert_eq!(score(&[low, high]), (1, 1));
+    }
+
+    /// The edge of a board, 3 cm thin and a metre long, is turned about its length by what noise makes of it; a
+    /// wall is not.
+    #[test]
+    fn how_a_strip_is_turned_about_its_length_is_not_held_against_it() {
+        let seen = |height_m: f64, turned_rad: f64| {
+            let normal = Vector3::new(-turned_rad.cos(), 0.0, turned_rad.sin());
+            let up = Vector3::new(turned_rad.sin(), 0.0, turned_rad.cos()) * (0.5 * height_m);
+            let corner = |y: f64, side: f64| Point3::new(2.0, y, 0.5) + up * side;
+            let hull =
+                vec![corner(-0.5, -1.0), corner(0.5, -1.0), corner(0.5, 1.0), corner(-0.5, 1.0)];
+            let patch = Patch { normal, centroid: Point3::new(2.0, 0.0, 0.5), hull };
+            keyframe(2.0, 0.0, vec![Sighting { landmark: 1, patch }])
+        };
+        let wrong = |height_m| {
+            let seen = [seen(height_m, 0.0), seen(height_m, 0.2), seen(height_m, -0.01)];
+            associations(&seen, &truth(), None).unwrap().wrong
+        };
+        assert_eq!((wrong(0.03), wrong(2.0)), (0, 1));
     }
 }
