@@ -20,9 +20,14 @@ const FEWEST_RUNS: usize = 50;
 /// Most points that tell a line's plane, and the fewest.
 const POINTS_PER_LINE: usize = 64;
 const FEWEST_PER_LINE: usize = 8;
+/// A run spans three times this share of its line: neighbours lie closer together than noise across the beams,
+/// or the rounding of coordinates, lets directions be known.
+const STRIDES_PER_LINE: usize = 32;
+/// Share of the runs that bend less than what is told of all: those over edges of depth bend most from elsewhere.
+const USUAL: f64 = 0.8;
 /// How much straighter the directions must be from another point than from the origin before that is taken
 /// for the viewpoint: real scanners are a little uneven from wherever they are seen.
-const STRAIGHTER: f64 = 4.0;
+const STRAIGHTER: f64 = 2.0;
 /// Points along the axis that are tried, over so many root mean squares of the cloud's extent to either side.
 const ALONG: u32 = 120;
 const REACH: f64 = 3.0;
@@ -31,7 +36,7 @@ const TOO_FAR: f64 = 10.0;
 /// Rounds of the refinement, and the step in metres that ends it.
 const ROUNDS: usize = 30;
 const CONVERGED_M: f64 = 1e-6;
-/// Least median bend, in radians for each radian between the neighbours: that of 32-bit floats.
+/// Least bend that is told, in radians for each radian between the neighbours: that of 32-bit floats.
 const LEAST_BEND: f64 = 1e-7;
 
 /// The point that an organised cloud was made from, where its points tell that it is not the frame's origin.
@@ -42,15 +47,15 @@ pub fn viewpoint(grid: &PointGrid) -> Option<Point3<f64>> {
         let few: Vec<Run> =
             runs.iter().step_by(runs.len().div_ceil(RUNS_ALONG).max(1)).copied().collect();
         let (start, bend) = axis.straightest(&few)?;
-        let as_told = median_bend(&few, &Vector3::zeros());
+        let as_told = usual_bend(&few, &Vector3::zeros());
         // Beside a viewpoint even a step along the axis bends directions by more.
         if as_told <= bend {
             return Some((as_told, false, Vector3::zeros()));
         }
         let point = refined(&runs, start);
         let is_near = (point - axis.middle).norm() < TOO_FAR * axis.extent_m;
-        let bend = median_bend(&runs, &point);
-        let as_told = median_bend(&runs, &Vector3::zeros());
+        let bend = usual_bend(&runs, &point);
+        let as_told = usual_bend(&runs, &Vector3::zeros());
         is_near.then_some((bend, bend * STRAIGHTER < as_told, point))
     });
     let (_, is_elsewhere, point) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -89,23 +94,16 @@ const THIRD: [f64; 4] = [1.0, -3.0, 3.0, -1.0];
 
 fn runs(grid: &PointGrid, lines: Lines) -> Vec<Run> {
     let (count, length) = lines.size(grid);
-    let places = length.saturating_sub(3);
+    let stride = length.div_ceil(STRIDES_PER_LINE).max(1);
+    let places = length.saturating_sub(3 * stride);
     // Steps that are no divisor of the length do not keep to the same places.
     let step = (count * places).div_ceil(RUNS).max(1);
     let step = if step > 1 && places.is_multiple_of(step) { step + 1 } else { step };
-    let at = |line, place| lines.point(grid, line, place);
-    (0..count * places)
-        .step_by(step)
-        .map(|cell| (cell / places, cell % places))
-        .filter_map(|(line, place)| {
-            Some([
-                at(line, place)?,
-                at(line, place + 1)?,
-                at(line, place + 2)?,
-                at(line, place + 3)?,
-            ])
-        })
-        .collect()
+    let run = |cell: usize| {
+        let at = |k: usize| lines.point(grid, cell / places, cell % places + k * stride);
+        Some([at(0)?, at(1)?, at(2)?, at(3)?])
+    };
+    (0..count * places).step_by(step).filter_map(run).collect()
 }
 
 /// How the directions of a run bend, as seen from a point.
@@ -152,14 +150,15 @@ impl Bend {
     }
 }
 
-fn median_bend(runs: &[Run], from: &Vector3<f64>) -> f64 {
+/// The bend that all but the most bent runs stay below.
+fn usual_bend(runs: &[Run], from: &Vector3<f64>) -> f64 {
     let mut sizes: Vec<f64> =
-        runs.iter().filter_map(|t| Some(Bend::seen_from(t, from)?.size())).collect();
-    let middle = sizes.len() / 2;
+        runs.iter().filter_map(|run| Some(Bend::seen_from(run, from)?.size())).collect();
     if sizes.len() < FEWEST_RUNS.min(runs.len()) || sizes.is_empty() {
         return f64::INFINITY;
     }
-    *sizes.select_nth_unstable_by(middle, f64::total_cmp).1
+    let usual = (USUAL * sizes.len() as f64) as usize;
+    *sizes.select_nth_unstable_by(usual, f64::total_cmp).1
 }
 
 /// The line that the planes of a scanner's lines meet in.
@@ -226,18 +225,18 @@ impl Axis {
             let share = 2.0 * f64::from(k) / f64::from(ALONG) - 1.0;
             self.foot + self.direction * (share * REACH * self.extent_m)
         };
-        let bends = (0..=ALONG).map(|k| (place(k), median_bend(runs, &place(k))));
+        let bends = (0..=ALONG).map(|k| (place(k), usual_bend(runs, &place(k))));
         bends.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 }
 
 /// Where the runs bend least about a start: Levenberg and Marquardt's steps, with weights by which what
-/// bends more than the median, such as a line that was put together of two, counts little.
+/// bends more than usual, such as a line that was put together of two, counts little.
 fn refined(runs: &[Run], start: Vector3<f64>) -> Vector3<f64> {
     let mut point = start;
     let mut damping = 1e-3;
     for _ in 0..ROUNDS {
-        let usual = 1.5 * median_bend(runs, &point).max(LEAST_BEND);
+        let usual = 1.5 * usual_bend(runs, &point).max(LEAST_BEND);
         let cost = |from: &Vector3<f64>| -> f64 {
             let bends = runs.iter().map(|t| {
                 let share = Bend::seen_from(t, from).map_or(1e3, |bend| bend.size() / usual);
@@ -339,6 +338,20 @@ mod tests {
                 let found = viewpoint(&cloud(&directions, &moved));
                 let off_m = found.map(|p| (p.coords - moved.translation.vector).norm());
                 assert!(off_m.is_some_and(|off_m| off_m < 1e-3), "{name} {x} {y}: {off_m:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn coordinates_written_with_three_decimals_tell_it_to_millimetres() {
+        for (name, directions) in [("nodding", nodding()), ("spinning", spinning())] {
+            for moved in [Isometry3::translation(0.5, -0.3, 0.1), Isometry3::identity()] {
+                let grid = cloud(&directions, &moved);
+                let rounded = grid.points().iter().map(|p| p.map(|v| (1e3 * v).round() / 1e3));
+                let found =
+                    viewpoint(&PointGrid::new(grid.rows(), grid.columns(), rounded.collect()));
+                let off_m = (found.unwrap_or_default().coords - moved.translation.vector).norm();
+                assert!(off_m < 5e-3, "{name} {moved}: {found:?}");
             }
         }
     }
