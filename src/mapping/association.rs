@@ -365,23 +365,34 @@ impl Question<'_> {
         .collect()
     }
 
-    /// What observations that are pieces of landmarks say for an assignment beside its pairs, in the measure
-    /// of [`Assignment::support`]. A map in which one surface became two landmarks pairs both of its pieces;
-    /// that is no reason to believe it more than one in which they are pieces of one.
-    pub(super) fn pieces(&self, assignment: &Assignment, config: &AssociationConfig) -> f64 {
+    /// What observations beside its pairs say for or against an assignment, in the measure of
+    /// [`Assignment::support`]. Pieces of landmarks speak for it: a map in which one surface became two
+    /// landmarks pairs both of its pieces; that is no reason to believe it more than one in which they are
+    /// pieces of one. What is too far from a landmark to be it and too near to be something else speaks
+    /// against it: the place beside a wall at which that wall fits is the likelier one.
+    pub(super) fn beside_pairs(&self, assignment: &Assignment, config: &AssociationConfig) -> f64 {
         let belief = &assignment.belief;
         let is_free =
             |observation: &usize| assignment.pairs.iter().all(|pair| pair.0 != *observation);
         let of_observation = |observation: usize| {
-            let fits = |&plane: &usize| {
+            let (mut piece, mut is_doubtful) = (None, false);
+            for &plane in &self.candidates[observation] {
                 let rows = self.rows(belief, observation, plane);
                 let distance = rows.distance_squared();
-                let is_piece = distance < config.gate
-                    && rows.h.x.abs() < APART_M
-                    && self.comparable(belief, &rows, observation, plane, config);
-                is_piece.then(|| tempered_ratio(distance, rows.s[(0, 0)], config))
-            };
-            self.candidates[observation].iter().filter_map(fits).fold(0.0, f64::max)
+                if distance >= config.doubt_gate
+                    || !self.comparable(belief, &rows, observation, plane, config)
+                {
+                    continue;
+                }
+                is_doubtful |= distance >= config.gate;
+                if distance < config.gate && rows.h.x.abs() < APART_M {
+                    let ratio = tempered_ratio(distance, rows.s[(0, 0)], config);
+                    piece = Some(ratio.max(piece.unwrap_or(0.0)));
+                }
+            }
+            let doubted =
+                if is_doubtful { self.observations[observation].log_swallowed() } else { 0.0 };
+            piece.unwrap_or(doubted)
         };
         (0..self.observations.len()).filter(is_free).map(of_observation).sum()
     }

@@ -25,6 +25,11 @@ const PROVEN_AREA_SHARE: f64 = 0.6;
 /// Least eigenvalue of the sum of `n nᵀ` over the recognised normals that fixes a place.
 const PROVEN_SPREAD: f64 = 0.4;
 
+/// Pairs that explain a scan, not by chance.
+const EXPLAINING_PAIRS: usize = 4;
+/// Logarithm of how much seldomer a scan shows nothing of the map where one place explains most of it.
+const LOG_EXPLAINED: f64 = -10.0;
+
 /// Logarithm of how much a share of contradicting points speaks against a pose.
 fn weight_of(contradicting_share: f64) -> f64 {
     let excess = (contradicting_share - TOLERATED_SHARE).max(0.0);
@@ -44,8 +49,8 @@ pub(super) struct Claim {
     pub(super) carried: bool,
     /// See [`Estimate::left_out`].
     pub(super) left_out: Vec<(usize, LandmarkId)>,
-    /// See [`Estimate::pieces`].
-    pub(super) pieces: f64,
+    /// See [`Estimate::beside_pairs`].
+    pub(super) beside_pairs: f64,
 }
 
 /// An explanation with what the map says of it.
@@ -67,6 +72,14 @@ impl Judged {
     pub(super) fn stands(&self) -> bool {
         self.score >= 0.0 && self.refuted <= REFUTED_SHARE && self.misplaced == 0
     }
+
+    /// Whether it is a place near the prediction that explains most of the scan.
+    fn explains(&self, scan: &ScanObservations) -> bool {
+        !self.far
+            && self.stands()
+            && self.assignment.pairs.len() >= EXPLAINING_PAIRS
+            && recognised_share(&self.assignment, scan) > PROVEN_AREA_SHARE
+    }
 }
 
 /// Scores of explanations, each for itself, with what the map says against them.
@@ -76,12 +89,21 @@ pub(super) fn weigh(
     options: &[Prepared],
     scan: &ScanObservations,
 ) -> Vec<Judged> {
-    let weigh = |Claim { prepared, assignment, log_prior, far, carried, left_out, pieces }| {
+    let weigh = |Claim {
+                     prepared,
+                     assignment,
+                     log_prior,
+                     far,
+                     carried,
+                     left_out,
+                     beside_pairs,
+                 }| {
         let option = &options[prepared];
         let against = estimate.contradiction(scan, option, &assignment, &left_out);
         let refuted = against.share();
-        let score = assignment.support + pieces + log_prior + against.footing + against.doubled
-            - weight_of(refuted);
+        let score =
+            assignment.support + beside_pairs + log_prior + against.footing + against.doubled
+                - weight_of(refuted);
         Judged { prepared, assignment, score, refuted, misplaced: against.misplaced, far, carried }
     };
     claims.into_iter().map(weigh).collect()
@@ -89,6 +111,11 @@ pub(super) fn weigh(
 
 /// The same held against one another: without a lead for what is far from the prediction and unproven.
 pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Judged> {
+    if judged.iter().any(|option| option.explains(scan)) {
+        for nothing in judged.iter_mut().filter(|option| option.assignment.pairs.is_empty()) {
+            nothing.score += LOG_EXPLAINED;
+        }
+    }
     let near = judged.iter().filter(|option| !option.far);
     let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
     let near = near.expect("the prediction itself is among the explanations");

@@ -137,7 +137,7 @@ impl<'a> Fork<'a> {
             far: false,
             carried: false,
             left_out: Vec::new(),
-            pieces: 0.0,
+            beside_pairs: 0.0,
         };
         let mut claims = self.claims(plain, 0.0);
         claims.push(unrecognised);
@@ -281,7 +281,7 @@ impl<'a> Fork<'a> {
             far: found.shift_from(&prepared.belief).exceeds(far_m, far_m, far_rad),
             carried: false,
             left_out: estimate.left_out(arrival, config, &prepared, found),
-            pieces: estimate.pieces(arrival, config, &prepared, found),
+            beside_pairs: estimate.beside_pairs(arrival, config, &prepared, found),
         };
         let claims = prepared.assignments.iter().map(claim).collect();
         self.prepared.push(prepared);

@@ -8,6 +8,10 @@ use crate::segmentation::{PlanePatch, Segmentation, Shape, Surface};
 use nalgebra::{Isometry3, Matrix3, Point2, Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
+/// See [`Observation::log_swallowed`].
+const SWALLOWED: f64 = 0.01;
+const SWALLOWED_M2: f64 = 1.0;
+
 /// One planar patch as the robot saw it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Observation {
@@ -73,6 +77,12 @@ impl Observation {
     /// Area of the hull in m².
     pub fn area_m2(&self) -> f64 {
         polygon_area(&self.hull)
+    }
+
+    /// Logarithm of how often a surface lies close to another of the map that it is not: a scan before swallowed
+    /// it, a door's leaf in its wall, a plank on its floor. Beyond a square metre none is overlooked.
+    pub(super) fn log_swallowed(&self) -> f64 {
+        SWALLOWED.ln() * (self.area_m2() / SWALLOWED_M2).min(1.0)
     }
 
     /// The hull's vertices in the robot frame.

@@ -21,10 +21,6 @@ const BEHIND_M: f64 = 0.15;
 const BEHIND_PER_M: f64 = 0.015;
 /// What parallel surfaces may be apart by and yet be one, beside what the pair leaves open: no floor is even.
 const EVEN_M: f64 = 0.02;
-/// How often a surface lies that close to another of the map all the same, because a scan before swallowed
-/// it: a door's leaf in its wall, a plank on its floor. Beyond that area none is overlooked.
-const SWALLOWED: f64 = 0.01;
-const SWALLOWED_M2: f64 = 1.0;
 /// Standard deviation of a wheel's height above the surface that it stands on: a tyre, a carpet, the
 /// fit of a floor. The pose's own adds to it.
 const WHEEL_SIGMA_M: f64 = 0.02;
@@ -99,7 +95,7 @@ impl Estimate {
             found.samples += held.samples;
             found.refuted += held.refuted;
             if 2 * held.doubled > held.samples {
-                found.doubled += SWALLOWED.ln() * (observation.area_m2() / SWALLOWED_M2).min(1.0);
+                found.doubled += observation.log_swallowed();
             }
             let is_free = assignment.pairs.iter().all(|pair| pair.0 != index);
             found.misplaced += usize::from(is_free && held.is_misplaced());

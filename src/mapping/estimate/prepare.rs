@@ -275,8 +275,8 @@ impl Estimate {
         question.may_be_displaced(&assignment.belief, verdicts, config)
     }
 
-    /// See [`Question::pieces`].
-    pub(in crate::mapping) fn pieces(
+    /// See [`Question::beside_pairs`].
+    pub(in crate::mapping) fn beside_pairs(
         &self,
         arrival: &Arrival<'_>,
         config: &AssociationConfig,
@@ -284,7 +284,7 @@ impl Estimate {
         assignment: &Assignment,
     ) -> f64 {
         let landmarks = self.named(&prepared.planes);
-        prepared.question(arrival, &landmarks).pieces(assignment, config)
+        prepared.question(arrival, &landmarks).beside_pairs(assignment, config)
     }
 
     pub(super) fn named(&self, planes: &[LandmarkId]) -> Vec<&Landmark> {
