@@ -4,7 +4,7 @@ use super::files::{Format, write_stdout};
 use super::say;
 use crate::driver::simulated::passability;
 use crate::export::coverage::Passability;
-use crate::export::evaluate::{Evaluation, evaluate};
+use crate::export::evaluate::{Evaluation, RunFiles, evaluate};
 use crate::export::tum;
 use crate::files::run;
 use crate::files::world::{WorldFiles, built_in_names, load_world};
@@ -28,8 +28,8 @@ pub struct EvalArguments {
     /// Scenario of the runs, where its name in the report is not one in the program
     #[arg(long, value_name = "FILE")]
     scenario: Option<PathBuf>,
-    /// True poses, TUM lines, for a run without a truth.tum: of the robot, or of the sensor at each scan
-    /// for a folder of `usar map`
+    /// True poses, TUM lines, in the place of the run's truth.tum: of the robot, or of the sensor at each
+    /// scan for a folder of `usar map`
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
     /// Form of the scores
@@ -57,7 +57,7 @@ pub fn run(arguments: &EvalArguments) -> Result<ExitCode> {
 
 fn score(folder: &Path, arguments: &EvalArguments) -> Result<Evaluation> {
     let mut files = run::load(folder)?;
-    if let (Some(path), true) = (&arguments.truth, files.truth.is_empty()) {
+    if let Some(path) = &arguments.truth {
         let text = std::fs::read_to_string(path)
             .with_context(|| format!("cannot read {}", path.display()))?;
         files.truth = tum::parse(&text).with_context(|| format!("{}", path.display()))?;
@@ -98,8 +98,23 @@ fn score(folder: &Path, arguments: &EvalArguments) -> Result<Evaluation> {
             folder.display()
         ));
     }
+    warn_of_other_times(folder, &files);
     let limits = world.as_ref().map(limits).transpose()?;
     Ok(evaluate(&files, world.as_ref().map(|world| &world.world).zip(limits.as_ref())))
+}
+
+/// Says that the truth does not end where the trajectory does: beyond its end its last pose holds.
+fn warn_of_other_times(folder: &Path, files: &RunFiles) {
+    const APART_S: f64 = 1.0;
+    let ends = files.trajectory.last().zip(files.truth.last());
+    let Some((own_s, true_s)) = ends.map(|(own, truth)| (own.time_s, truth.time_s)) else { return };
+    if (own_s - true_s).abs() >= APART_S {
+        say::warn(format_args!(
+            "{}: the trajectory ends at {own_s} s, the truth at {true_s} s: what one of them lacks is held \
+             against the last pose that it has",
+            folder.display()
+        ));
+    }
 }
 
 /// The world of a scenario in the program.
