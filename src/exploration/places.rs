@@ -4,7 +4,7 @@
 //! two meet in a pass that is no wider than a doorway, and the ground widens on both sides of it as it does
 //! on both sides of a wall, that is a doorway and links them. Elsewhere they are one room: a corridor is a
 //! ridge, however narrow and cluttered. Rooms keep their identity from one map to the next by the ground
-//! that they share.
+//! that they share, doorways by where they are.
 
 mod landscape;
 
@@ -16,6 +16,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Least ground of a room in m².
 const LEAST_ROOM_M2: f64 = 3.0;
+/// A doorway whose middle moved by less, as a map is corrected or shows more of it, is the same.
+const SAME_DOORWAY_M: f64 = 0.5;
 
 /// A room, hall or corridor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,6 +36,8 @@ pub struct Room {
 /// A passage between two rooms.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Doorway {
+    /// Identity among the doorways, kept from map to map and never used again.
+    pub id: u32,
     /// The rooms it links, the lesser identity first.
     pub rooms: (u32, u32),
     /// Its middle.
@@ -47,13 +51,15 @@ pub struct Doorway {
 pub struct Places {
     /// By identity.
     pub rooms: Vec<Room>,
-    /// By the rooms they link.
+    /// By identity.
     pub doorways: Vec<Doorway>,
     next_id: u32,
+    next_doorway_id: u32,
 }
 
 impl Places {
-    /// The places of a grid; rooms that share most ground with one of `self` keep its identity.
+    /// The places of a grid; rooms that share most ground with one of `self` keep its identity, doorways that
+    /// are where one was theirs.
     pub fn renewed(&self, grid: &Grid) -> Self {
         let ground = Ground::of(grid);
         let labels = ground.flood();
@@ -69,7 +75,11 @@ impl Places {
         }
         let area = |cells: usize| cells as f64 * grid.cell_m() * grid.cell_m();
         by_label.retain(|_, cells| area(cells.len()) >= LEAST_ROOM_M2);
-        let mut places = Self { next_id: self.next_id, ..Self::default() };
+        let mut places = Self {
+            next_id: self.next_id,
+            next_doorway_id: self.next_doorway_id,
+            ..Self::default()
+        };
         let mut id_of = BTreeMap::new();
         let mut taken = BTreeSet::new();
         // The largest choose first.
@@ -96,14 +106,30 @@ impl Places {
             else {
                 continue;
             };
+            let id = self.old_doorway(&meeting.middle, &places.doorways).unwrap_or_else(|| {
+                places.next_doorway_id += 1;
+                places.next_doorway_id
+            });
             places.doorways.push(Doorway {
+                id,
                 rooms: (a.min(b), a.max(b)),
                 middle: meeting.middle,
                 width_m: meeting.width_m,
             });
         }
-        places.doorways.sort_by_key(|doorway| doorway.rooms);
+        places.doorways.sort_by_key(|doorway| doorway.id);
         places
+    }
+
+    /// The identity of the old doorway that is nearest to a place and none of those `taken`.
+    fn old_doorway(&self, middle: &Point2<f64>, taken: &[Doorway]) -> Option<u32> {
+        self.doorways
+            .iter()
+            .filter(|old| taken.iter().all(|doorway| doorway.id != old.id))
+            .map(|old| ((old.middle - middle).norm(), old.id))
+            .filter(|(apart_m, _)| *apart_m < SAME_DOORWAY_M)
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, id)| id)
     }
 
     /// The identity of the old room that most of these cells belonged to.
@@ -166,6 +192,13 @@ mod tests {
         assert_eq!(places.rooms.len(), 2, "{places:?}");
         assert_eq!(places.doorways.len(), 1, "{places:?}");
         let doorway = &places.doorways[0];
+        assert_eq!(places.renewed(&plan(&TWO_ROOMS)).doorways[0].id, doorway.id);
+        // Elsewhere in the same wall it is another one.
+        let mut moved = TWO_ROOMS;
+        moved[1..6].rotate_left(3);
+        let moved = places.renewed(&plan(&moved));
+        assert_eq!(moved.doorways.len(), 1, "{moved:?}");
+        assert_ne!(moved.doorways[0].id, doorway.id);
         assert_eq!(doorway.rooms, (places.rooms[0].id, places.rooms[1].id));
         assert!((doorway.width_m - 1.0).abs() < 0.25, "{doorway:?}");
         assert!((doorway.middle - Point2::new(4.75, 2.5)).norm() < 0.5, "{doorway:?}");
