@@ -116,6 +116,50 @@ fn a_slip_along_a_corridor_of_equal_doors_is_found() {
     assert!(astray.is_empty(), "{astray:?}");
 }
 
+/// A bare ring of corridors round a block.
+fn ring() -> World {
+    let mut world = World::default();
+    world.room([-1.5, -1.5, 14.5, 9.5], 2.6);
+    let corners = [[1.5, 1.2], [11.5, 1.2], [11.5, 6.8], [1.5, 6.8]];
+    for (from, to) in corners.iter().zip(corners.iter().cycle().skip(1)) {
+        world.patch(
+            [from[0], from[1], 0.0],
+            [to[0] - from[0], to[1] - from[1], 0.0],
+            [0.0, 0.0, 2.6],
+        );
+    }
+    world.standing(6.0, -1.2, [0.5, 0.4, 1.0], 0.0);
+    world
+}
+
+/// A scan that was found where it fits stays there, though the next motion agrees better with where odometry
+/// had it.
+#[test]
+fn odometry_that_errs_to_and_fro_takes_no_scan_from_where_it_fits() {
+    let seen = along(&ring(), &[0.0, 1.0, 2.0].map(|x| (x, 0.0, 0.0)));
+    let told =
+        |x: f64, y: f64, yaw_deg: f64| pose([x, y, HEIGHT_M], 0.0, 0.0, yaw_deg.to_radians());
+    for aside in [-1.0, 1.0] {
+        for err_m in [0.25, 0.3, 0.35, 0.4] {
+            let way = [
+                told(0.0, 0.0, 0.0),
+                told(0.97, aside * err_m, -aside * 5.4),
+                told(1.8, -aside * 0.66 * err_m, aside * 3.4),
+            ];
+            let mut mapper = Mapper::new(MapperConfig::default(), seen[0].1);
+            mapper.observe(&seen[0].0);
+            for (step, pair) in way.windows(2).enumerate() {
+                mapper.predict(&(pair[0].inverse() * pair[1]), MotionSource::Wheels);
+                mapper.observe(&seen[step + 1].0);
+            }
+            for (keyframe, (_, truth)) in mapper.keyframes().iter().zip(&seen) {
+                let off_m = pose_error(keyframe, truth).fixed_rows::<3>(0).norm();
+                assert!(off_m < 0.02, "{err_m} m to {aside}: {off_m} m off");
+            }
+        }
+    }
+}
+
 /// Where odometry tells of a step of 0.3 m the robot is carried to where it was before, and goes on.
 #[test]
 fn a_robot_that_is_carried_back_is_known_where_it_is_set_down() {
