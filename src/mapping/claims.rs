@@ -2,11 +2,14 @@
 
 use super::association::Assignment;
 use super::estimate::{Estimate, Prepared};
-use super::fork::{SAME_M, SAME_RAD, moves_far};
 use super::landmark::LandmarkId;
+use super::perturbation::pose_error;
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3};
 
+/// Two explanations that put the robot this near to each other are one.
+pub(super) const SAME_M: f64 = 0.05;
+pub(super) const SAME_RAD: f64 = 0.01;
 /// Rise of a normal, seen by the robot, above which a plane is level.
 const LEVEL: f64 = 0.8;
 /// What one explanation must be behind by while nothing proves it: three scans' worth of a pair that
@@ -155,6 +158,12 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
         );
     }
     judged
+}
+
+/// Whether one pose is farther from another than so much.
+pub(super) fn moves_far(a: &Isometry3<f64>, b: &Isometry3<f64>, far_m: f64, far_rad: f64) -> bool {
+    let gap = pose_error(a, b);
+    gap.fixed_rows::<3>(0).norm() > far_m || gap.fixed_rows::<3>(3).norm() > far_rad
 }
 
 /// Share of a scan's upright area that an assignment recognises: floors and ceilings look alike anywhere.

@@ -5,9 +5,10 @@
 //! what else fits is looked for in ever wider circles.
 
 use super::association::{Assignment, AssociationConfig, Verdict};
-use super::claims::{Claim, Judged, judge, recognised_share, upright_share, weigh};
+use super::claims::{
+    Claim, Judged, SAME_M, SAME_RAD, judge, moves_far, recognised_share, upright_share, weigh,
+};
 use super::estimate::{Arrival, Estimate, Prepared};
-use super::perturbation::pose_error;
 use nalgebra::Isometry3;
 
 /// How much worse than told odometry may be before the scan is no longer believed: the motion's
@@ -48,9 +49,6 @@ const SLACK: usize = 2;
 const FAR_M: (f64, f64) = (0.8, 1.25);
 const FAR_RAD: (f64, f64) = (0.35, 0.6);
 const FAR_SIGMAS: f64 = 3.5;
-/// Two explanations that put the robot this near to each other are one.
-pub(super) const SAME_M: f64 = 0.05;
-pub(super) const SAME_RAD: f64 = 0.01;
 
 /// One way to go on.
 pub(super) struct Way {
@@ -308,10 +306,4 @@ fn is_large(found: &Assignment, prepared: &Prepared) -> bool {
 /// Whether nothing speaks against an explanation, and it is another one than what odometry led to.
 fn stands_elsewhere(found: &Judged, guess: &Isometry3<f64>) -> bool {
     found.stands() && moves_far(guess, &found.assignment.belief.world_from_robot, SAME_M, SAME_RAD)
-}
-
-/// Whether one pose is farther from another than so much.
-pub(super) fn moves_far(a: &Isometry3<f64>, b: &Isometry3<f64>, far_m: f64, far_rad: f64) -> bool {
-    let gap = pose_error(a, b);
-    gap.fixed_rows::<3>(0).norm() > far_m || gap.fixed_rows::<3>(3).norm() > far_rad
 }

@@ -2,10 +2,10 @@
 //! the data allow several.
 
 use super::association::AssociationConfig;
-use super::claims::{TOLERATED_SHARE, UNPROVEN};
+use super::claims::{SAME_M, SAME_RAD, TOLERATED_SHARE, UNPROVEN, moves_far};
 use super::curved::CurvedLandmark;
 use super::estimate::{Arrival, Attitude, Estimate, Prepared};
-use super::fork::{Fork, SAME_M, SAME_RAD, Way, moves_far};
+use super::fork::{Fork, Way};
 use super::graph::GraphConfig;
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
