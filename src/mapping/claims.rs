@@ -124,8 +124,10 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
     let near = near.expect("the prediction itself is among the explanations");
     let (near_score, near_refuted) = (near.score, near.refuted);
     let near_is_wrong = |refuted: f64| near_refuted > refuted + TOLERATED_SHARE;
-    // A room like another proves nothing: odometry must be wrong before a robot was carried.
-    judged.retain(|option| !option.carried || near_is_wrong(option.refuted));
+    // A room like another proves nothing: odometry must be wrong before a robot was carried, and nothing near
+    // may have more for it than against it. Along like rooms a map that is decimetres off speaks a little against
+    // every place near, and for a room like this one farther back not at all.
+    judged.retain(|option| !option.carried || near_score < 0.0 && near_is_wrong(option.refuted));
     let place = |option: &Judged| option.assignment.belief.world_from_robot;
     let mut far_places: Vec<Isometry3<f64>> = Vec::new();
     for there in judged.iter().filter(|option| option.far).map(place) {
