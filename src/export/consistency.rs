@@ -1,6 +1,6 @@
 //! Whether a map knows how wrong it is: keyframes against the truth. Nothing here reaches an agent.
 
-use super::evaluate::{Patch, UnderPatch, true_surface, true_surfaces};
+use super::evaluate::{Patch, UnderPatch, middle_surface, true_surfaces};
 use super::keyframes::{Keyframe, Sighting};
 use super::score::{at, settled_s};
 use super::truth_steps::Steps;
@@ -102,10 +102,11 @@ pub fn associations(
         for Sighting { landmark, patch } in &keyframe.sightings {
             let as_seen = SeenPlane::of_sighting(patch, &pose);
             let (whole, under) = match world {
-                Some(world) => (
-                    true_surface(patch, world, &pose).map(SeenPlane::from),
-                    true_surfaces(patch, world, &pose).into_iter().map(SeenPlane::from).collect(),
-                ),
+                Some(world) => {
+                    let under = true_surfaces(patch, world, &pose);
+                    let planes = under.iter().copied().map(SeenPlane::from).collect();
+                    (middle_surface(under).map(SeenPlane::from), planes)
+                }
                 None => (Some(as_seen), vec![as_seen]),
             };
             let Some(whole) = whole else {

@@ -299,12 +299,16 @@ const BEYOND_M: f64 = 0.005;
 
 /// The surface that a patch lies on as a whole: at the median of its points' offsets. `None` where most lie
 /// on none. `true_from_map` leads from the patch's frame into the world.
-pub(super) fn true_surface(
+fn true_surface(
     patch: &Patch,
     world: &World,
     true_from_map: &Isometry3<f64>,
 ) -> Option<UnderPatch> {
-    let mut found = true_surfaces(patch, world, true_from_map);
+    middle_surface(true_surfaces(patch, world, true_from_map))
+}
+
+/// Of the surfaces under a patch's points the one at the median of their offsets.
+pub(super) fn middle_surface(mut found: Vec<UnderPatch>) -> Option<UnderPatch> {
     found.sort_by(|a, b| a.offset_m.total_cmp(&b.offset_m));
     found.get(found.len() / 2).copied()
 }

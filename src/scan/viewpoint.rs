@@ -50,16 +50,16 @@ pub fn viewpoint(grid: &PointGrid) -> Option<Point3<f64>> {
         let as_told = usual_bend(&few, &Vector3::zeros());
         // Beside a viewpoint even a step along the axis bends directions by more.
         if as_told <= bend {
-            return Some((as_told, false, Vector3::zeros()));
+            return Some((as_told, None));
         }
         let point = refined(&runs, start);
         let is_near = (point - axis.middle).norm() < TOO_FAR * axis.extent_m;
         let bend = usual_bend(&runs, &point);
         let as_told = usual_bend(&runs, &Vector3::zeros());
-        is_near.then_some((bend, bend * STRAIGHTER < as_told, point))
+        is_near.then_some((bend, (bend * STRAIGHTER < as_told).then_some(Point3::from(point))))
     });
-    let (_, is_elsewhere, point) = found.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    is_elsewhere.then_some(Point3::from(point))
+    // Which lines bend least says which way the scanner's run, and whether from the origin.
+    found.min_by(|a, b| a.0.total_cmp(&b.0))?.1
 }
 
 /// Which way the lines of a grid run.
@@ -297,7 +297,7 @@ mod tests {
         PointGrid::new(directions.len(), directions[0].len(), points)
     }
 
-    /// Rows of 5° under tilts 1° apart, as of a nodding laser.
+    /// Beams 2° apart under tilts 1° apart, as of a nodding laser.
     fn nodding() -> Vec<Vec<Vector3<f64>>> {
         let tilts = (0..50).map(|i| (f64::from(i) - 25.0).to_radians());
         let row = |tilt: f64| {
