@@ -398,7 +398,7 @@ impl Assembler {
         if stride > 1 {
             gather(field, cells, &self.fit_gain, &mut self.readings);
         }
-        settle(&self.readings, chosen, &config.limits).unwrap_or_else(|| {
+        settle(&self.readings, chosen, &config.limits, &field.errors).unwrap_or_else(|| {
             fit_plane(&mut self.readings).map_or(Fitted::Other, |(plane, _)| Fitted::Plane(plane))
         })
     }

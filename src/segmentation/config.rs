@@ -76,12 +76,13 @@ impl Default for PaperConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ShapeLimits {
-    /// Greatest radius of a sphere or cylinder in metres, above zero. Beyond it noise on a plane
-    /// passes for curvature.
+    /// Greatest radius of a sphere or cylinder in metres, above zero.
     pub max_radius_m: f64,
-    /// Least part of a cylinder's circle that must be seen, in degrees, 0 to 180.
+    /// Least part of a cylinder's circle that must be seen, in degrees, 0 to 180. Of a radius above two
+    /// metres it is enough that noise leaves it open by a hundredth of itself.
     pub min_arc_deg: f64,
-    /// Least angle from the middle of a sphere's visible cap to its border, in degrees, 0 to 90.
+    /// Least angle from the middle of a sphere's visible cap to its border, in degrees, 0 to 90; of a large
+    /// radius as for a cylinder.
     pub min_cap_deg: f64,
     /// Mean square error, in units of the noise, beyond which no model describes a region, above 1.
     pub max_mean_square: f64,
@@ -89,6 +90,6 @@ pub struct ShapeLimits {
 
 impl Default for ShapeLimits {
     fn default() -> Self {
-        Self { max_radius_m: 2.0, min_arc_deg: 60.0, min_cap_deg: 30.0, max_mean_square: 9.0 }
+        Self { max_radius_m: 30.0, min_arc_deg: 60.0, min_cap_deg: 30.0, max_mean_square: 9.0 }
     }
 }

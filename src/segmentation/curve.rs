@@ -219,6 +219,7 @@ impl CurveFinder {
             };
             // Each stick end stands for several readings, so a good guess has an error of one.
             if radius_m <= limits.max_radius_m
+                && facets.iter().all(|&facet| self.facets.may_curve(facet, radius_m))
                 && error < GUESS_ERROR
                 && best.as_ref().is_none_or(|best| error < best.0)
             {

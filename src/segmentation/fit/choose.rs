@@ -50,13 +50,13 @@ pub(in super::super) fn choose(
     }
     if !flat {
         let sphere = fit_sphere(readings, limits.max_radius_m);
-        let sphere = sphere.filter(|s| sphere_is_seen(readings, s, limits));
+        let sphere = sphere.filter(|s| sphere_is_seen(readings, s, limits, errors));
         if let Some(sphere) = sphere {
             let model = sphere.model();
             offer(fitted_sphere(sphere), &model);
         }
         let cylinder = fit_cylinder(readings, axes, limits.max_radius_m);
-        if let Some(cylinder) = cylinder.filter(|c| cylinder_is_seen(readings, c, limits)) {
+        if let Some(cylinder) = cylinder.filter(|c| cylinder_is_seen(readings, c, limits, errors)) {
             let model = cylinder.model();
             offer(bounded(readings, cylinder), &model);
         }
@@ -87,7 +87,7 @@ pub(in super::super) fn settle_known(
                 high - low < LONGEST_BALL * radius_m
             })
             .and_then(|readings| fit_sphere(readings, limits.max_radius_m))
-            .filter(|sphere| sphere_is_seen(readings, sphere, limits))
+            .filter(|sphere| sphere_is_seen(readings, sphere, limits, errors))
             .map(|sphere| sphere.model()),
         Model::Plane { .. } | Model::Sphere { .. } => None,
     };
@@ -105,7 +105,7 @@ pub(in super::super) fn settle_known(
             bounded(readings, CylinderFit { foot, axis, radius_m, covariance: Matrix5::zeros() })
         }
     };
-    let fitted = settle(readings, start, limits)?;
+    let fitted = settle(readings, start, limits, errors)?;
     let settled = match &fitted {
         Fitted::Sphere { centre, radius_m, .. } => {
             Model::Sphere { centre: centre.coords, radius_m: *radius_m }
@@ -126,19 +126,23 @@ pub(in super::super) fn settle(
     readings: &Readings,
     chosen: Fitted,
     limits: &ShapeLimits,
+    errors: &ReadingErrors,
 ) -> Option<Fitted> {
     let (fitted, model) = match chosen {
         Fitted::Sphere { centre, radius_m, .. } => {
             let sphere = settle_sphere(readings, (centre.coords, radius_m))?;
             let model = sphere.model();
-            (sphere_is_seen(readings, &sphere, limits).then(|| fitted_sphere(sphere))?, model)
+            (
+                sphere_is_seen(readings, &sphere, limits, errors).then(|| fitted_sphere(sphere))?,
+                model,
+            )
         }
         Fitted::Cylinder { axis_point, axis, radius_m, .. } => {
             let start = (axis_point.coords, axis.into_inner(), radius_m);
             let cylinder = settle_cylinder(readings, start)?;
             let model = cylinder.model();
             (
-                cylinder_is_seen(readings, &cylinder, limits)
+                cylinder_is_seen(readings, &cylinder, limits, errors)
                     .then(|| bounded(readings, cylinder))?,
                 model,
             )
@@ -228,11 +232,30 @@ pub(in super::super) fn is_flat(
     error < count as f64 * (1.0 + excess)
 }
 
+/// Radius in metres beyond which a vault, a round room or the bend of a corridor is seen in part only, and
+/// no least arc is asked for but that the radius is determined: to this share of it, three deviations.
+const LARGE_M: f64 = 2.0;
+const DETERMINED_SHARE: f64 = 0.03;
+
+/// Whether a radius is large, and as well known as its variance by readings that err each for itself says.
+fn is_determined(radius_m: f64, variance_m2: f64, errors: &ReadingErrors) -> bool {
+    let sigma_m = (variance_m2.max(0.0) * errors.inflation).sqrt();
+    radius_m > LARGE_M && 3.0 * sigma_m < DETERMINED_SHARE * radius_m
+}
+
 /// The angle at the centre between the middle of the cap and its border, both robust: the border is
 /// that of 95 % of the readings.
-fn sphere_is_seen(readings: &Readings, sphere: &SphereFit, limits: &ShapeLimits) -> bool {
+fn sphere_is_seen(
+    readings: &Readings,
+    sphere: &SphereFit,
+    limits: &ShapeLimits,
+    errors: &ReadingErrors,
+) -> bool {
     if sphere.radius_m > limits.max_radius_m {
         return false;
+    }
+    if is_determined(sphere.radius_m, sphere.covariance[(3, 3)], errors) {
+        return true;
     }
     let middle = (readings.centroid() - sphere.centre).normalize();
     let outside = limits.min_cap_deg.to_radians().cos();
@@ -247,9 +270,17 @@ fn sphere_is_seen(readings: &Readings, sphere: &SphereFit, limits: &ShapeLimits)
     beyond * 20 >= readings.len()
 }
 
-fn cylinder_is_seen(readings: &Readings, cylinder: &CylinderFit, limits: &ShapeLimits) -> bool {
+fn cylinder_is_seen(
+    readings: &Readings,
+    cylinder: &CylinderFit,
+    limits: &ShapeLimits,
+    errors: &ReadingErrors,
+) -> bool {
     if cylinder.radius_m > limits.max_radius_m {
         return false;
+    }
+    if is_determined(cylinder.radius_m, cylinder.covariance[(4, 4)], errors) {
+        return true;
     }
     let radial = |p: &Vector3<f64>| {
         let d = p - cylinder.foot;

@@ -111,11 +111,11 @@ fn circle_across(
     mean_square.is_finite().then_some(Start { axis, foot, radius_m, mean_square })
 }
 
-/// A cylinder as the rounds take it.
+/// A cylinder as the rounds take it, seen from without.
 pub(super) fn round_of(foot: &Vector3<f64>, axis: &Vector3<f64>, radius_m: f64) -> Round {
     let (e1, e2) = across(axis);
     let sides = [e1.into(), e2.into(), [0.0; 3]];
-    Round { foot: (*foot).into(), axis: (*axis).into(), radius_m, sides }
+    Round { foot: (*foot).into(), axis: (*axis).into(), radius_m, sides, hollow: false }
 }
 
 fn refine(
@@ -132,7 +132,8 @@ fn refine(
         let stride = phase.stride(round, readings);
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
-        let round = round_of(&foot, &axis, radius_m);
+        let hollow = phase == Phase::Rays && readings.are_within(&foot, &axis);
+        let round = Round { hollow, ..round_of(&foot, &axis, radius_m) };
         let RoundSums { normal, square, count } =
             sum_round::<5>(&readings.rays_by_column, round, phase, stride);
         let (normal, right) = (normal.normal(), normal.right());

@@ -173,6 +173,17 @@ impl Readings {
         self.points.iter().sum::<Vector3<f64>>() / self.len().max(1) as f64
     }
 
+    /// Whether most readings are of the inner side of a cylinder about `axis` through `foot`, or of a sphere
+    /// about `foot`, for which the axis is zero: their rays go outwards where they end.
+    fn are_within(&self, foot: &Vector3<f64>, axis: &Vector3<f64>) -> bool {
+        let stride = self.len().div_ceil(START_READINGS).max(1);
+        let outwards = self.points.iter().zip(&self.rays).step_by(stride).map(|(p, ray)| {
+            let d = p - foot;
+            if (d - axis * axis.dot(&d)).dot(ray) > 0.0 { 1 } else { -1 }
+        });
+        outwards.sum::<i32>() > 0
+    }
+
     /// The direction in which the points extend most.
     pub fn principal_axis(&self) -> Vector3<f64> {
         let eigen = self.covariance(&self.centroid()).symmetric_eigen();

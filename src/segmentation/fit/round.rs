@@ -54,6 +54,8 @@ pub(super) struct Round {
     /// Directions in which the parameters move the surface: the coordinate axes for a sphere, two
     /// perpendicular to its axis for a cylinder.
     pub sides: [[f64; 3]; 3],
+    /// Whether it is seen from within, as a vault or a round room is, so that rays meet it where they leave.
+    pub hollow: bool,
 }
 
 /// What the readings of a round add up to.
@@ -170,6 +172,8 @@ struct Splat<V> {
     radius: V,
     per_radius: V,
     one: V,
+    /// One where rays leave through the surface, less than none by as much where they enter it.
+    leaving: V,
 }
 
 #[inline(always)]
@@ -180,6 +184,7 @@ fn spread<S: Simd>(simd: S, round: &Round) -> Splat<S::f32s> {
         radius: simd.splat_f32s(round.radius_m as f32),
         per_radius: simd.splat_f32s((1.0 / round.radius_m) as f32),
         one: simd.splat_f32s(1.0),
+        leaving: simd.splat_f32s(if round.hollow { 1.0 } else { -1.0 }),
     }
 }
 
@@ -226,7 +231,7 @@ fn across<S: Simd>(
     Seen { normal, height, cosine, error_m: simd.div_f32s(distance, cosine) }
 }
 
-/// By where their rays enter it, and whether they do.
+/// By where their rays enter it, or leave it where it is seen from within, and whether they do.
 #[inline(always)]
 fn along<S: Simd>(
     simd: S,
@@ -245,15 +250,18 @@ fn along<S: Simd>(
     let passes = scaled(simd, beside, per_speed);
     let square =
         simd.sub_f32s(simd.mul_f32s(surface.radius, surface.radius), dot(simd, passes, passes));
-    let enters = simd.greater_than_f32s(square, simd.splat_f32s(0.0));
-    let reach = simd.sqrt_f32s(simd.mul_f32s(square, speed));
-    let range = simd.mul_f32s(simd.sub_f32s(middle, reach), per_speed);
+    let meets = simd.greater_than_f32s(square, simd.splat_f32s(0.0));
+    let reach = simd.mul_f32s(simd.sqrt_f32s(simd.mul_f32s(square, speed)), surface.leaving);
+    let range = simd.mul_f32s(simd.add_f32s(middle, reach), per_speed);
     let from_centre = less(simd, scaled(simd, sideways, range), centre, surface.one);
     let normal = scaled(simd, from_centre, surface.per_radius);
-    let cosine = simd.neg_f32s(dot(simd, normal, readings.ray));
+    let cosine = simd.mul_f32s(dot(simd, normal, readings.ray), surface.leaving);
     let height = simd.sub_f32s(simd.mul_f32s(lengthwise, range), foot_height);
-    let error_m = simd.sub_f32s(range, dot(simd, readings.point, readings.ray));
-    (Seen { normal, height, cosine, error_m }, enters)
+    // Of the distance from the axis, as it is across the surface: a reading that is too long is nearer to it
+    // where the ray enters, and farther where it leaves.
+    let error_m = simd.sub_f32s(dot(simd, readings.point, readings.ray), range);
+    let error_m = simd.mul_f32s(error_m, surface.leaving);
+    (Seen { normal, height, cosine, error_m }, meets)
 }
 
 impl<const N: usize> WithSimd for Sum<'_, N> {
@@ -276,8 +284,8 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
                 let readings = load::<S>(block, at);
                 let mut counts = simd.greater_than_f32s(readings.per_sigma, zero);
                 let seen = if phase == Phase::Rays {
-                    let (seen, enters) = along(simd, &surface, &readings);
-                    counts = simd.and_m32s(counts, enters);
+                    let (seen, meets) = along(simd, &surface, &readings);
+                    counts = simd.and_m32s(counts, meets);
                     seen
                 } else {
                     across(simd, &surface, &readings, true)

@@ -49,8 +49,9 @@ fn refine(
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
-        let sums =
-            sum_round::<4>(&readings.rays_by_column, round_of(&centre, radius_m), phase, stride);
+        let hollow = phase == Phase::Rays && readings.are_within(&centre, &Vector3::zeros());
+        let round = Round { hollow, ..round_of(&centre, radius_m) };
+        let sums = sum_round::<4>(&readings.rays_by_column, round, phase, stride);
         let RoundSums { normal, square, count } = sums;
         let (normal, right) = (normal.normal(), normal.right());
         let Some(decomposed) = normal.cholesky() else { break };
@@ -80,10 +81,10 @@ fn refine(
     Some(SphereFit { centre, radius_m, covariance })
 }
 
-/// A sphere as the rounds take it.
+/// A sphere as the rounds take it, seen from without.
 pub(super) fn round_of(centre: &Vector3<f64>, radius_m: f64) -> Round {
     let sides = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    Round { foot: (*centre).into(), axis: [0.0; 3], radius_m, sides }
+    Round { foot: (*centre).into(), axis: [0.0; 3], radius_m, sides, hollow: false }
 }
 
 /// Least squares of `|p|² - 2 p·c + (|c|² - R²)`, which is linear; biased small on noisy caps, so
