@@ -3,7 +3,7 @@
 use super::field::Field;
 use super::fit::{Common, Unevenness};
 use super::surface::{PlanePatch, Shape, Surface};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, RowVector2, Vector2, Vector3};
 
 /// Variance of a trend over a patch, slope² times extent² / 12, in units of the unevenness.
 ///
@@ -13,6 +13,18 @@ use nalgebra::{Isometry3, Vector3};
 const TREND: f64 = 1.0;
 /// Standard deviation of a rotation that says nothing, in radians.
 const FREE_RAD: f64 = 1.0;
+/// How far off another look at a bent surface may find its patch, in extents of this one: patches of it lie
+/// where the sensor is, not where anything ends, so that those of two scans look like one that did not move.
+const BENT_REACH: f64 = 2.0;
+/// Cosine of the turn between two patches beside each other up to which they are pieces of one uneven surface,
+/// parted where noise had it: 2.5°.
+const PIECES_COSINE: f64 = 0.999;
+/// Gap between them in metres.
+const PIECES_GAP_M: f64 = 0.15;
+/// Squared Mahalanobis distance from which on they are not of one plane.
+const PIECES_DIFFER: f64 = 16.0;
+/// Step from one to the other, in metres, from which on something ends there.
+const PIECES_STEP_M: f64 = 0.02;
 
 /// How uneven the planes of a scan are. The buffers are kept from scan to scan.
 #[derive(Clone, Debug, Default)]
@@ -21,6 +33,8 @@ pub(super) struct UnevenPlanes {
     planes: Vec<(usize, Option<Unevenness>)>,
     /// Unevenness and cells of planes.
     known: Vec<(f64, usize)>,
+    /// Surfaces with the rotations about y and x, and the step, to a piece beside each.
+    pieces: Vec<(usize, Vector2<f64>, f64)>,
 }
 
 impl UnevenPlanes {
@@ -38,10 +52,41 @@ impl UnevenPlanes {
     /// by. What too few readings tell for themselves is taken from what is usual in the scan.
     pub fn tell(&mut self, surfaces: &mut [Surface]) {
         let usual_m2 = self.usual_m2(surfaces);
+        self.compare_pieces(surfaces);
         for (index, found) in &self.planes {
             let square_m2 = found.map_or(usual_m2, |found| found.told_m2(usual_m2));
-            if let (Shape::Plane(patch), true) = (&mut surfaces[*index].shape, square_m2 > 0.0) {
+            let Shape::Plane(patch) = &mut surfaces[*index].shape else { continue };
+            if square_m2 > 0.0 {
                 add(patch, square_m2);
+            }
+            if let Some(found) = found.filter(|found| found.bend != Matrix2::zeros()) {
+                add_bend(patch, &found.bend);
+            }
+        }
+        for &(index, turn_rad, step_m) in &self.pieces {
+            if let Shape::Plane(patch) = &mut surfaces[index].shape {
+                add_turn(patch, &turn_rad, step_m);
+            }
+        }
+    }
+
+    /// Lists the patches that go on in others that are nearly but not quite of their plane.
+    fn compare_pieces(&mut self, surfaces: &[Surface]) {
+        self.pieces.clear();
+        for (at, (index, _)) in self.planes.iter().enumerate() {
+            let Shape::Plane(patch) = &surfaces[*index].shape else { continue };
+            let normal = patch.grid_from_plane.rotation * Vector3::z();
+            for (other_index, _) in &self.planes[at + 1..] {
+                let Shape::Plane(other) = &surfaces[*other_index].shape else { continue };
+                let other_normal = other.grid_from_plane.rotation * Vector3::z();
+                if normal.dot(&other_normal) < PIECES_COSINE {
+                    continue;
+                }
+                for (own, beside, place) in [(patch, other, *index), (other, patch, *other_index)] {
+                    if let Some((turn_rad, step_m)) = piece_beside(own, beside) {
+                        self.pieces.push((place, turn_rad, step_m));
+                    }
+                }
             }
         }
     }
@@ -74,21 +119,96 @@ pub(super) fn common(field: &Field, grid_from_plane: &Isometry3<f64>, noise_m: f
     }
 }
 
-fn add(patch: &mut PlanePatch, square_m2: f64) {
-    let span_m = |axis: usize| {
-        let fresh = (f64::INFINITY, f64::NEG_INFINITY);
-        let (low, high) = patch
-            .hull
-            .iter()
-            .fold(fresh, |(low, high), vertex| (low.min(vertex[axis]), high.max(vertex[axis])));
+/// Least and greatest coordinate of a patch along an axis of its frame.
+fn ends_m(patch: &PlanePatch, axis: usize) -> (f64, f64) {
+    let fresh = (f64::INFINITY, f64::NEG_INFINITY);
+    let vertices = patch.hull.iter();
+    vertices.fold(fresh, |(low, high), vertex| (low.min(vertex[axis]), high.max(vertex[axis])))
+}
+
+fn spans_m(patch: &PlanePatch) -> Vector2<f64> {
+    Vector2::from_fn(|axis, _| {
+        let (low, high) = ends_m(patch, axis);
         (high - low).max(f64::MIN_POSITIVE)
+    })
+}
+
+fn add(patch: &mut PlanePatch, square_m2: f64) {
+    let spans_m = spans_m(patch);
+    let tilt = |axis: usize| {
+        let span_m: f64 = spans_m[axis];
+        (12.0 * TREND * square_m2 / (span_m * span_m)).min(FREE_RAD * FREE_RAD)
     };
-    let tilt =
-        |span_m: f64| (12.0 * TREND * square_m2 / (span_m * span_m)).min(FREE_RAD * FREE_RAD);
-    let (about_y, about_x) = (tilt(span_m(0)), tilt(span_m(1)));
     patch.covariance[(0, 0)] += square_m2;
-    patch.covariance[(1, 1)] += about_y;
-    patch.covariance[(2, 2)] += about_x;
+    patch.covariance[(1, 1)] += tilt(0);
+    patch.covariance[(2, 2)] += tilt(1);
+}
+
+/// Adds what a look at another part of a bent surface differs by.
+fn add_bend(patch: &mut PlanePatch, bend: &Matrix2<f64>) {
+    let off_m = BENT_REACH * spans_m(patch);
+    let turns = bend * Matrix2::from_diagonal(&off_m);
+    let turns = turns * turns.transpose();
+    let rise_m = 0.5 * off_m.dot(&(bend.abs() * off_m));
+    add_turns(patch, &turns, rise_m);
+}
+
+/// Adds what a piece beside a patch, that much turned and stepped, tells of the next one.
+fn add_turn(patch: &mut PlanePatch, turn_rad: &Vector2<f64>, step_m: f64) {
+    let turn_rad = BENT_REACH * turn_rad;
+    let turns = Matrix2::from_diagonal(&turn_rad.component_mul(&turn_rad));
+    let rise_m = step_m + 0.5 * turn_rad.abs().dot(&spans_m(patch));
+    add_turns(patch, &turns, rise_m);
+}
+
+fn add_turns(patch: &mut PlanePatch, turns: &Matrix2<f64>, rise_m: f64) {
+    patch.covariance[(0, 0)] += rise_m * rise_m;
+    let mut tilts = patch.covariance.fixed_view_mut::<2, 2>(1, 1);
+    let most = turns.trace() / (FREE_RAD * FREE_RAD);
+    tilts += turns / most.max(1.0);
+}
+
+/// The rotations about y and x from a patch to one beside it, and the step between both where they meet;
+/// `None` where they are apart, or may be of one plane.
+fn piece_beside(patch: &PlanePatch, beside: &PlanePatch) -> Option<(Vector2<f64>, f64)> {
+    let plane_from_beside = patch.grid_from_plane.inverse() * beside.grid_from_plane;
+    let fresh = [f64::INFINITY, f64::NEG_INFINITY];
+    let (mut others, mut step_m, mut nearest_m) = ([fresh; 2], 0.0, f64::INFINITY);
+    let ends_m = [ends_m(patch, 0), ends_m(patch, 1)];
+    let beyond = |p: f64, (low, high): (f64, f64)| (low - p).max(p - high).max(0.0);
+    for vertex in &beside.hull {
+        let p = plane_from_beside * Point3::new(vertex.x, vertex.y, 0.0);
+        let off_m = beyond(p.x, ends_m[0]).hypot(beyond(p.y, ends_m[1]));
+        if off_m < nearest_m {
+            (nearest_m, step_m) = (off_m, p.z);
+        }
+        for (axis, [low, high]) in others.iter_mut().enumerate() {
+            (*low, *high) = (low.min(p[axis]), high.max(p[axis]));
+        }
+    }
+    let gap_m =
+        |axis: usize| (others[axis][0] - ends_m[axis].1).max(ends_m[axis].0 - others[axis][1]);
+    if gap_m(0).max(gap_m(1)) > PIECES_GAP_M || step_m.abs() > PIECES_STEP_M {
+        return None;
+    }
+    // The other's plane as a perturbation of this frame: its height over the origin, and its tilts.
+    let normal = plane_from_beside.rotation * Vector3::z();
+    let turn_rad = Vector2::new(normal.x, -normal.y) / normal.z;
+    let origin = plane_from_beside.translation.vector;
+    let offset_m = origin.dot(&normal) / normal.z;
+    let difference = Vector3::new(offset_m, turn_rad.x, turn_rad.y);
+    // The other's perturbation as one of this frame: a tilt of its own moves it at this origin, too.
+    let signs = Matrix2::new(1.0, 0.0, 0.0, -1.0);
+    let turned = plane_from_beside.rotation.to_rotation_matrix();
+    let mut from_beside = Matrix3::identity();
+    let turns = signs * turned.matrix().fixed_view::<2, 2>(0, 0) * signs;
+    from_beside.fixed_view_mut::<2, 2>(1, 1).copy_from(&turns);
+    let mut to_origin = Matrix3::identity();
+    to_origin.fixed_view_mut::<1, 2>(0, 1).copy_from(&RowVector2::new(origin.x, -origin.y));
+    let from_beside = to_origin * from_beside;
+    let spread = patch.covariance + from_beside * beside.covariance * from_beside.transpose();
+    let square = difference.dot(&spread.cholesky()?.solve(&difference));
+    (square > PIECES_DIFFER).then_some((turn_rad, step_m.abs()))
 }
 
 /// Share of the variance across a plane that the errors of the grid's rows, as far as they are known, have

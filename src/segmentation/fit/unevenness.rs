@@ -15,7 +15,7 @@ use super::GATED_VARIANCE;
 use super::packed::Packed;
 use super::plane::{Axes, prior};
 use super::sums::{Columns, PlaneSums, Reference, place};
-use nalgebra::{Isometry3, Matrix3, Vector3};
+use nalgebra::{Isometry3, Matrix2, Matrix3, Matrix6, Vector3, Vector6};
 use std::ops::Range;
 
 /// Bands of steps, and parts of the lanes in each, that a region is divided into.
@@ -29,6 +29,8 @@ const FEWEST: usize = 4 * SIDE * SIDE;
 const SURE: f64 = 3.72;
 /// Parameters of a plane.
 const UNKNOWNS: f64 = 3.0;
+/// Share of the blocks' scatter that one bend must explain to be taken for the cause of it.
+const BENT_SHARE: f64 = 0.5;
 
 /// What readings are known to have in common on an even surface.
 #[derive(Clone, Copy, Debug)]
@@ -51,6 +53,10 @@ pub(in super::super) struct Unevenness {
     pub noise_m2: f64,
     /// Whether noise does not explain all.
     pub is_sure: bool,
+    /// What two rotations of the plane, about y and about x, change by per metre along the frame's x and y:
+    /// the part of a vault or of a bending corridor that is flat to the noise is no plane elsewhere. None
+    /// where the surface waves rather than bends.
+    pub bend: Matrix2<f64>,
 }
 
 impl Unevenness {
@@ -217,7 +223,13 @@ impl Blocks {
             count += 1.0;
         }
         let free = (count - UNKNOWNS).max(1.0);
-        Some(Unevenness { excess_m2: (square - noise) / free, noise_m2: noise / free, is_sure })
+        let bend = if is_sure { fit.bend(&blocks, square) } else { None };
+        Some(Unevenness {
+            excess_m2: (square - noise) / free,
+            noise_m2: noise / free,
+            is_sure,
+            bend: bend.unwrap_or_default(),
+        })
     }
 }
 
@@ -228,6 +240,31 @@ struct Fit {
 }
 
 impl Fit {
+    /// The bend that explains most of what the blocks' means scatter by, the sum of whose squares is given;
+    /// `None` where none does.
+    fn bend(
+        &self,
+        blocks: &[(Matrix3<f64>, Vector3<f64>)],
+        square_m2: f64,
+    ) -> Option<Matrix2<f64>> {
+        let means = blocks.iter().filter(|(a, _)| a[(0, 0)] > 0.0).map(|(a, g)| {
+            let per_weight = 1.0 / a[(0, 0)];
+            // Where a block lies, by what the rotations move it by.
+            let (p, q) = (a[(0, 1)] * per_weight, a[(0, 2)] * per_weight);
+            let row = Vector6::new(1.0, p, q, 0.5 * p * p, p * q, 0.5 * q * q);
+            (row, (g - a * self.correction)[0] * per_weight)
+        });
+        let (mut normal, mut right) = (Matrix6::zeros(), Vector6::zeros());
+        for (row, mean) in means.clone() {
+            normal += row * row.transpose();
+            right += row * mean;
+        }
+        let shape = normal.cholesky()?.solve(&right);
+        let left_m2: f64 = means.map(|(row, mean)| (mean - row.dot(&shape)).powi(2)).sum();
+        let bend = Matrix2::new(shape[3], shape[4], shape[4], shape[5]);
+        (left_m2 < (1.0 - BENT_SHARE) * square_m2).then_some(bend)
+    }
+
     /// What so many bands and parts taken together leave in the right side, in units of what independent
     /// readings do, and the degrees of freedom of that; `None` where the fit takes nearly all.
     fn left_in(
@@ -284,6 +321,7 @@ mod tests {
             excess_m2,
             noise_m2,
             is_sure,
+            bend: Matrix2::zeros(),
         };
         assert_eq!(of(-1e-6, 1e-6, false).told_m2(0.0), 0.0);
         assert_eq!(of(4e-6, 1e-8, true).told_m2(0.0), 4e-6);
