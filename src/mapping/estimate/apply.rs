@@ -19,6 +19,10 @@ use std::sync::Arc;
 const MOST_PLANES: usize = 150;
 /// Most pairs that the test after the update may drop.
 const MOST_DROPPED: usize = 4;
+/// Standard deviation of a pose's turn, in radians, from which on the graph is linearised the more finely the
+/// greater it is. Planes that leave a heading open, a floor and a ceiling, say something of it where they are
+/// linearised a little off their solution: by as much as they are off and as it is open.
+const OPEN_RAD: f64 = 1e-3;
 
 impl Estimate {
     /// What each observation is under an assignment.
@@ -90,8 +94,13 @@ impl Estimate {
             }
         }
         report.nis_degrees = 3 * report.associations.len();
-        self.solve(&mut report, config);
-        self.take_curves(arrival, &mut report, |estimate, report| estimate.solve(report, config));
+        let (_, turn_rad2) = assignment.belief.pose_spread();
+        let fineness = 1.0 / (1.0 + turn_rad2 / (OPEN_RAD * OPEN_RAD));
+        self.solve(&mut report, config, fineness);
+        let solve = |estimate: &mut Self, report: &mut UpdateReport| {
+            estimate.solve(report, config, fineness);
+        };
+        self.take_curves(arrival, &mut report, solve);
         self.keep_up(&mut report, arrival.scan);
         report
     }
@@ -198,10 +207,11 @@ impl Estimate {
         id
     }
 
-    /// Solves the graph, and again without the pair that fits worst as long as one does not fit.
-    fn solve(&mut self, report: &mut UpdateReport, config: &AssociationConfig) {
+    /// Solves the graph, as finely as it is told, and again without the pair that fits worst as long as one
+    /// does not fit.
+    fn solve(&mut self, report: &mut UpdateReport, config: &AssociationConfig, fineness: f64) {
         for round in 0..=MOST_DROPPED {
-            let update = self.graph.update();
+            let update = self.graph.update_finely(fineness);
             report.iterations += update.rounds;
             self.follow(&update.changed, report);
             let (planes, curves) = (self.worst_plane(report), self.worst_curve());

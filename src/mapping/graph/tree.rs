@@ -41,18 +41,24 @@ pub(super) struct Clique {
 impl Graph {
     /// Takes in all changes since the last update and solves again, linearising anew what moved.
     pub fn update(&mut self) -> GraphUpdate {
+        self.update_finely(1.0)
+    }
+
+    /// The same where a measurement may be wrong by a share of what the settings allow only.
+    pub fn update_finely(&mut self, share: f64) -> GraphUpdate {
+        let nonlinear_m = share * self.config.nonlinear_m;
         let mut done = GraphUpdate::default();
         while !self.stale.is_empty() && done.rounds < self.config.max_rounds {
             done.rounds += 1;
             let stale = std::mem::take(&mut self.stale);
             let roots = self.renew(&stale, &mut done);
             let mut changed = self.solve_down(&roots);
-            if changed.iter().any(|key| self.second_order_m(*key) > self.config.nonlinear_m) {
+            if changed.iter().any(|key| self.second_order_m(*key) > nonlinear_m) {
                 // Neighbours are linearised anew together or not at all, so all must be up to date.
                 changed.extend(self.carry_down(0.0));
                 let all = (0..self.variables.len() as u32).map(Key);
-                let share = WITH_THEM * self.config.nonlinear_m;
-                self.stale = all.filter(|key| self.second_order_m(*key) > share).collect();
+                let least_m = WITH_THEM * nonlinear_m;
+                self.stale = all.filter(|key| self.second_order_m(*key) > least_m).collect();
             }
             done.changed.extend(changed);
             if done.rounds < self.config.max_rounds {
