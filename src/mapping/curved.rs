@@ -23,8 +23,9 @@ const DETERMINED_RAD: f64 = 0.05;
 /// Points whose distances from the shape exceed this share of its radius in the root mean square are
 /// not all of one body.
 const MOST_RMS_SHARE: f64 = 0.1;
-/// A shorter piece of a cylinder, in radii, says little about its axis.
+/// A shorter piece of a cylinder, in radii, says little about its axis; one of so many metres is none.
 const LEAST_LENGTH_RADII: f64 = 1.0;
+const LONG_M: f64 = 1.5;
 
 /// Which curved body it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -74,7 +75,8 @@ impl CurvedObservation {
     pub fn from_surface(surface: &Surface, robot_from_grid: &Isometry3<f64>) -> Option<Self> {
         let seen = match &surface.shape {
             Shape::Cylinder(cylinder) => {
-                let short = cylinder.length_m < LEAST_LENGTH_RADII * cylinder.radius_m;
+                let short =
+                    cylinder.length_m < (LEAST_LENGTH_RADII * cylinder.radius_m).min(LONG_M);
                 let tilt = IMPERFECT_RAD_M / cylinder.length_m.max(1e-3);
                 let imperfect = Vector4::new(IMPERFECT_M, IMPERFECT_M, tilt, tilt);
                 (!short).then(|| Self {
