@@ -9,7 +9,7 @@ use super::landmark::{Landmark, carried_hull, hulls_meet};
 use super::mask::MASK_CELL_M;
 use super::observation::Observation;
 use super::shift::Shift;
-use nalgebra::{Isometry3, Matrix3x4, Point2, Vector3};
+use nalgebra::{Isometry3, Matrix3x4, Point2, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -120,9 +120,11 @@ const BESIDE_M: f64 = 0.006;
 pub(super) const APART_M: f64 = 0.10;
 /// Most that the tightness of one pair may say for a place. The misfit that a true pair has on average
 /// takes 3/2 of it; the rest says that a pair fits by chance once in twenty.
-const MOST_PER_PAIR: f64 = 4.5;
+pub(super) const MOST_PER_PAIR: f64 = 4.5;
 /// Logarithm of how much more often a surface in the midst of a map is one of it than one of its own.
 const LOG_RECOGNISED: f64 = 2.0;
+/// How many times as much of a patch must lie on one of several landmarks as on any other.
+const LIES_ON: f64 = 2.0;
 /// Difference of the distances of two landmarks below which neither is preferred.
 const CLOSE_CALL: f64 = 2.0;
 
@@ -213,6 +215,16 @@ impl Question<'_> {
             || own.covers(&others.samples(), &others_from_own.inverse(), open_m)
     }
 
+    /// Share of a patch that lies on cells of a landmark that were hit.
+    fn share_on(&self, belief: &Belief, observation: usize, plane: usize) -> f64 {
+        let (samples, mask) = (&self.samples[observation], &self.landmarks[plane].mask);
+        let plane_from_observed = self.plane_from_observed(belief, observation, plane);
+        let is_on = |sample: &&Point2<f64>| {
+            mask.contains(&(plane_from_observed * Point3::new(sample.x, sample.y, 0.0)).xy())
+        };
+        samples.iter().filter(is_on).count() as f64 / samples.len().max(1) as f64
+    }
+
     fn plane_from_observed(
         &self,
         belief: &Belief,
@@ -296,7 +308,19 @@ impl Question<'_> {
                 if second.0 - first.0 < CLOSE_CALL
                     && !self.same_surface(belief, first.2, second.2) =>
             {
-                Verdict::Ambiguous
+                // Of pieces of an uneven surface the one that it lies on.
+                let mut rivals: Vec<(f64, f64, usize)> = fitting
+                    .iter()
+                    .take_while(|other| other.0 - first.0 < CLOSE_CALL)
+                    .map(|other| (self.share_on(belief, observation, other.2), other.1, other.2))
+                    .collect();
+                rivals.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.2.cmp(&b.2)));
+                match rivals.as_slice() {
+                    [(on, distance, plane), (beside, ..), ..] if *on > LIES_ON * beside => {
+                        Verdict::Seen(*plane, *distance)
+                    }
+                    _ => Verdict::Ambiguous,
+                }
             }
             [first, ..] => Verdict::Seen(first.2, first.1),
         }

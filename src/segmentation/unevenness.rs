@@ -13,9 +13,11 @@ use nalgebra::{Isometry3, Matrix2, Matrix3, Point3, RowVector2, Vector2, Vector3
 const TREND: f64 = 1.0;
 /// Standard deviation of a rotation that says nothing, in radians.
 const FREE_RAD: f64 = 1.0;
-/// How far off another look at a bent surface may find its patch, in extents of this one: patches of it lie
-/// where the sensor is, not where anything ends, so that those of two scans look like one that did not move.
-const BENT_REACH: f64 = 2.0;
+/// How far off another look at a bent surface may find its patch, in extents of this one.
+const BENT_REACH: f64 = 0.5;
+/// The same in turns from one piece of an uneven surface to the next: pieces lie where the sensor is, not where
+/// anything ends, so that those of two scans look like some that moved along with it.
+const PIECES_REACH: f64 = 2.0;
 /// Cosine of the turn between two patches beside each other up to which they are pieces of one uneven surface,
 /// parted where noise had it: 2.5°.
 const PIECES_COSINE: f64 = 0.999;
@@ -155,7 +157,7 @@ fn add_bend(patch: &mut PlanePatch, bend: &Matrix2<f64>) {
 
 /// Adds what a piece beside a patch, that much turned and stepped, tells of the next one.
 fn add_turn(patch: &mut PlanePatch, turn_rad: &Vector2<f64>, step_m: f64) {
-    let turn_rad = BENT_REACH * turn_rad;
+    let turn_rad = PIECES_REACH * turn_rad;
     let turns = Matrix2::from_diagonal(&turn_rad.component_mul(&turn_rad));
     let rise_m = step_m + 0.5 * turn_rad.abs().dot(&spans_m(patch));
     add_turns(patch, &turns, rise_m);
