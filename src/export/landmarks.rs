@@ -25,7 +25,8 @@ pub fn surfaces_json(mapper: &Mapper) -> Vec<Value> {
 
 /// The surfaces of a map as polygons, coloured by how they lie.
 pub fn surface_polygons(mapper: &Mapper) -> Vec<ply::Polygon> {
-    let planes = mapper.landmarks().iter().map(landmark_polygon);
+    let there = mapper.landmarks().iter().filter(|landmark| !landmark.gone);
+    let planes = there.map(landmark_polygon);
     let sides = mapper.curves().iter().flat_map(curve_sides).map(|(vertices, normal)| {
         let colour = surface_colour(&normal, vertices[0].z);
         ply::Polygon { vertices, colour: [colour.red, colour.green, colour.blue] }
@@ -80,6 +81,7 @@ fn landmark_json(landmark: &Landmark) -> Value {
         "id": landmark.id.0,
         "kind": "plane",
         "sightings": landmark.sightings,
+        "gone": landmark.gone,
         "points": landmark.points,
         "rms_m": landmark.rms_m,
         "normal": plane.normal,

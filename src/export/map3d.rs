@@ -44,7 +44,7 @@ pub fn draw(
     trajectory: &[Isometry3<f64>],
     robot_size_m: &Vector3<f64>,
 ) -> Canvas {
-    let is_shown = |landmark: &&Landmark| landmark.normal().z > -0.7;
+    let is_shown = |landmark: &&Landmark| !landmark.gone && landmark.normal().z > -0.7;
     let mut whole = Scene::new();
     for landmark in landmarks.iter().filter(is_shown) {
         add_landmark(&mut whole, landmark, Colour::BLACK);

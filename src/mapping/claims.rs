@@ -3,8 +3,10 @@
 use super::association::Assignment;
 use super::estimate::{Estimate, Prepared};
 use super::landmark::LandmarkId;
+use super::moved::Moved;
 use super::perturbation::pose_error;
 use super::scan_errors::ScanObservations;
+use super::sight::Contradiction;
 use nalgebra::{Isometry3, Matrix3};
 
 /// Two explanations that put the robot this near to each other are one.
@@ -28,6 +30,8 @@ const PROVEN_AREA_SHARE: f64 = 0.6;
 /// Least eigenvalue of the sum of `n nᵀ` over the recognised normals that fixes a place.
 const PROVEN_SPREAD: f64 = 0.4;
 
+/// Logarithm of how seldom a motion is worse than told by some of its deviations: stuck wheels, a push.
+pub(super) const LOG_SELDOM: f64 = -7.0;
 /// Pairs that explain a scan, not by chance.
 const EXPLAINING_PAIRS: usize = 4;
 /// Logarithm of how much seldomer a scan shows nothing of the map where one place explains most of it.
@@ -68,6 +72,9 @@ pub(super) struct Judged {
     pub(super) misplaced: usize,
     pub(super) far: bool,
     pub(super) carried: bool,
+    /// Landmarks that it recognises, and those of a thing that it says has moved.
+    pub(super) known: Vec<LandmarkId>,
+    pub(super) gone: Vec<LandmarkId>,
 }
 
 impl Judged {
@@ -92,22 +99,42 @@ pub(super) fn weigh(
     options: &[Prepared],
     scan: &ScanObservations,
 ) -> Vec<Judged> {
-    let weigh = |Claim {
-                     prepared,
-                     assignment,
-                     log_prior,
-                     far,
-                     carried,
-                     left_out,
-                     beside_pairs,
-                 }| {
-        let option = &options[prepared];
-        let against = estimate.contradiction(scan, option, &assignment, &left_out);
-        let refuted = against.share();
-        let score =
-            assignment.support + beside_pairs + log_prior + against.footing + against.doubled
-                - weight_of(refuted);
-        Judged { prepared, assignment, score, refuted, misplaced: against.misplaced, far, carried }
+    let weigh = |claim: Claim| {
+        let option = &options[claim.prepared];
+        let held_against = |gone: &[LandmarkId]| {
+            let Claim { assignment, left_out, .. } = &claim;
+            estimate.contradiction(scan, option, assignment, left_out, gone)
+        };
+        let judge = |against: &Contradiction, gone: Vec<LandmarkId>, support: f64| {
+            let Claim { prepared, assignment, log_prior, far, carried, beside_pairs, .. } = &claim;
+            let refuted = against.share();
+            let score =
+                assignment.support + beside_pairs + log_prior + against.footing + against.doubled
+                    - weight_of(refuted)
+                    + support;
+            Judged {
+                prepared: *prepared,
+                assignment: assignment.clone(),
+                score,
+                refuted,
+                misplaced: against.misplaced,
+                far: *far,
+                carried: *carried,
+                known: assignment.pairs.iter().map(|pair| option.landmark_of(pair.1)).collect(),
+                gone,
+            }
+        };
+        let against = held_against(&[]);
+        let plain = judge(&against, Vec::new(), 0.0);
+        // Only where odometry is believed, if not to the letter: elsewhere whatever does not fit would have moved.
+        if claim.log_prior < LOG_SELDOM {
+            return plain;
+        }
+        let moved = estimate.moved(scan, option, &claim.assignment, &against.by);
+        let Some(Moved { landmarks, log_there, support }) = moved else { return plain };
+        let moved = judge(&held_against(&landmarks), landmarks, support);
+        let plain = Judged { score: plain.score + log_there, ..plain };
+        if moved.score > plain.score { moved } else { plain }
     };
     claims.into_iter().map(weigh).collect()
 }
@@ -119,6 +146,7 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
             nothing.score += LOG_EXPLAINED;
         }
     }
+    discount_things(&mut judged);
     let near = judged.iter().filter(|option| !option.far);
     let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
     let near = near.expect("the prediction itself is among the explanations");
@@ -156,10 +184,24 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
             far = option.far,
             carried = option.carried,
             proven,
+            gone = option.gone.len(),
             "explanation of a scan"
         );
     }
     judged
+}
+
+/// Takes its lead from a slip that nothing speaks for but a thing that may as well have moved.
+fn discount_things(judged: &mut [Judged]) {
+    let by_odometry = judged.iter().filter(|option| !option.gone.is_empty());
+    let Some(best) = by_odometry.max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
+    let (known, gone, score) = (best.known.clone(), best.gone.clone(), best.score);
+    for option in judged.iter_mut().filter(|option| option.gone.is_empty()) {
+        let mut more = option.known.iter().filter(|landmark| !known.contains(landmark));
+        if !option.known.is_empty() && more.all(|landmark| gone.contains(landmark)) {
+            option.score = option.score.min(score - UNPROVEN);
+        }
+    }
 }
 
 /// Whether one pose is farther from another than so much.

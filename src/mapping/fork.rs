@@ -6,7 +6,8 @@
 
 use super::association::{Assignment, AssociationConfig, Verdict};
 use super::claims::{
-    Claim, Judged, SAME_M, SAME_RAD, judge, moves_far, recognised_share, upright_share, weigh,
+    Claim, Judged, LOG_SELDOM, SAME_M, SAME_RAD, judge, moves_far, recognised_share, upright_share,
+    weigh,
 };
 use super::estimate::{Arrival, Estimate, Prepared};
 use nalgebra::Isometry3;
@@ -21,8 +22,6 @@ const SLIPPED: f64 = 20.0;
 const WIDEST_M: f64 = 0.5;
 /// Pairs below which a scan is tried again with a widened motion.
 const FEW_PAIRS: usize = 3;
-/// Logarithm of how seldom a motion is that much worse than told: stuck wheels, a push.
-const LOG_SELDOM: f64 = -7.0;
 /// The same for wheels that slip or stick for a moment.
 const LOG_SLIPPED: f64 = -9.0;
 /// The same for a motion that tells nothing: a robot lifted and set down elsewhere, wheels that ran free.
@@ -173,6 +172,8 @@ impl<'a> Fork<'a> {
             misplaced: 0,
             far: false,
             carried: false,
+            known: Vec::new(),
+            gone: Vec::new(),
         };
         self.prepared.push(plain);
         Way { explanation, verdicts: Some(verdicts) }

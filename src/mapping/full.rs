@@ -152,6 +152,7 @@ impl Full {
             let ask = || from.estimate.verdicts(arrival, prepared, assignment, config);
             let verdicts = branch.way.verdicts.clone().unwrap_or_else(ask);
             let report = from.estimate.apply(arrival, prepared, assignment, &verdicts, config);
+            from.estimate.let_go(&branch.way.explanation.gone);
             self.next_landmark = from.estimate.next_landmark();
             let pose = from.estimate.last_pose();
             from.behind = if at == 0 { 0 } else { from.behind + 1 };

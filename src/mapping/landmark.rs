@@ -32,6 +32,8 @@ pub struct Landmark {
     pub first_keyframe: usize,
     /// Keyframe that saw it last.
     pub last_keyframe: usize,
+    /// Whether it was of a thing that has moved since: nothing is there any more.
+    pub gone: bool,
 }
 
 impl Landmark {
@@ -53,6 +55,7 @@ impl Landmark {
             sightings: 1,
             first_keyframe: keyframe,
             last_keyframe: keyframe,
+            gone: false,
         }
     }
 

@@ -27,6 +27,7 @@ pub mod line_alignment;
 mod mask;
 mod mask_builder;
 pub mod mip;
+mod moved;
 mod observation;
 mod odometry;
 mod odometry_trust;

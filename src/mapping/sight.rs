@@ -8,6 +8,7 @@ use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
+use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 /// Most points of one observation that are looked at.
@@ -38,7 +39,7 @@ const SOLID_CELLS: i32 = 2;
 const GRAZING_SINE: f64 = 0.15;
 
 /// How a scan and the map contradict each other under a pose.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Contradiction {
     /// Points of the scan that were looked at.
     pub(super) samples: usize,
@@ -53,6 +54,8 @@ pub(super) struct Contradiction {
     /// Observations that are not recognised and lie for the most part where they cannot be: a wall before or
     /// behind itself is one that was seen from elsewhere, however well the rest fits.
     pub(super) misplaced: usize,
+    /// Landmarks that refute points, in order.
+    pub(super) by: BTreeSet<LandmarkId>,
 }
 
 impl Contradiction {
@@ -71,6 +74,8 @@ impl Estimate {
     /// over cells of it that were hit they cannot be anything else: two surfaces that close were not
     /// both seen square on. What the pose is uncertain by does not excuse that: it is the very question.
     ///
+    /// What `moved` names is where it was no longer, and contradicts nothing.
+    ///
     /// Costs samples × landmarks about the scan; asked only where an association is in doubt.
     pub(super) fn contradiction(
         &self,
@@ -78,13 +83,15 @@ impl Estimate {
         prepared: &Prepared,
         assignment: &Assignment,
         left_out: &[(usize, LandmarkId)],
+        moved: &[LandmarkId],
     ) -> Contradiction {
         let belief = &assignment.belief;
         let world_from_robot = &belief.world_from_robot;
         let covariance = belief.pose_covariance();
         let hulls = scan.observations.iter().flat_map(Observation::hull_points);
         let around = hulls.chain(scan.contacts.iter().copied());
-        let walls = self.walls(scan, prepared, assignment, around);
+        let mut walls = self.walls(scan, prepared, assignment, around);
+        walls.retain(|wall| !moved.contains(&wall.landmark.id));
         let mut found = Contradiction {
             footing: footing(&walls, world_from_robot, &covariance, &scan.contacts),
             ..Contradiction::default()
@@ -99,6 +106,7 @@ impl Estimate {
             }
             let is_free = assignment.pairs.iter().all(|pair| pair.0 != index);
             found.misplaced += usize::from(is_free && held.is_misplaced());
+            found.by.extend(held.by);
         }
         found
     }
@@ -148,12 +156,14 @@ impl Estimate {
 }
 
 /// How an observation's points lie among the landmarks.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Held {
     samples: usize,
     /// See [`Refutation::Sure`] and [`Refutation::Tight`].
     refuted: usize,
     doubled: usize,
+    /// Landmarks that are sure to refute points.
+    by: BTreeSet<LandmarkId>,
 }
 
 impl Held {
@@ -190,9 +200,17 @@ fn held_against(
         // Where the map has what is said to be seen, it is no news that it has another, too.
         let is_news = || !own.is_some_and(|own| own.solid_at(&(own.plane_from_world * point)));
         held.samples += 1;
-        match against.iter().map(|wall| wall.verdict(&point)).max() {
-            Some(Refutation::Sure) => held.refuted += 1,
-            Some(Refutation::Tight) if is_news() => held.doubled += 1,
+        let mut most = Refutation::None;
+        for wall in &against {
+            let verdict = wall.verdict(&point);
+            most = most.max(verdict);
+            if verdict == Refutation::Sure {
+                held.by.insert(wall.wall.landmark.id);
+            }
+        }
+        match most {
+            Refutation::Sure => held.refuted += 1,
+            Refutation::Tight if is_news() => held.doubled += 1,
             _ => {}
         }
     }

@@ -132,6 +132,7 @@ mod tests {
             sightings: 3,
             first_keyframe: 0,
             last_keyframe: 0,
+            gone: false,
         }
     }
 

@@ -46,6 +46,11 @@ impl Prepared {
         self.planes.binary_search(&landmark).ok()
     }
 
+    /// The landmark behind a plane of the belief.
+    pub(in crate::mapping) fn landmark_of(&self, plane: usize) -> LandmarkId {
+        self.planes[plane]
+    }
+
     /// Covariance of the gap between an observation and a plane of the belief and of their tilts, under an
     /// assignment.
     pub(in crate::mapping) fn gap(
@@ -93,6 +98,11 @@ impl Estimate {
         self.prepare_after(arrival, config, arrival.motion, motion_covariance, predicted)
     }
 
+    /// The landmarks that are still there.
+    fn there(&self) -> impl Iterator<Item = &Landmark> {
+        self.landmarks.iter().filter(|landmark| !landmark.gone)
+    }
+
     /// The places other than `world_from_robot` where the scan fits the map.
     pub(in crate::mapping) fn elsewhere(
         &self,
@@ -100,7 +110,7 @@ impl Estimate {
         world_from_robot: &Isometry3<f64>,
     ) -> Vec<Isometry3<f64>> {
         let found =
-            recognise(&arrival.scan.observations, &self.landmarks, world_from_robot, |_, _| true);
+            recognise(&arrival.scan.observations, self.there(), world_from_robot, |_, _| true);
         let places = found.into_iter().map(|found| found.world_from_robot);
         places.filter(|place| moves_apart(place, world_from_robot)).collect()
     }
@@ -121,7 +131,7 @@ impl Estimate {
             gap.norm_squared() / level_m2 + turn_rad * turn_rad / spread[(5, 5)]
         };
         let observations = &arrival.scan.observations;
-        let found = recognise(observations, &self.landmarks, &predicted, |at, turn_rad| {
+        let found = recognise(observations, self.there(), &predicted, |at, turn_rad| {
             distance(at, turn_rad) < REACH
         });
         let log_prior = |place: &Isometry3<f64>| {

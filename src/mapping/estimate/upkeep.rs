@@ -158,9 +158,22 @@ impl Estimate {
         }
     }
 
+    /// Takes landmarks for gone: they are neither looked for nor does anything contradict them.
+    pub(in crate::mapping) fn let_go(&mut self, gone: &[LandmarkId]) {
+        for &id in gone {
+            if let Some(slot) = self.slot(id) {
+                self.landmarks[slot].gone = true;
+                self.index.remove(id.0);
+            }
+        }
+    }
+
     /// Files a landmark in the index where it is now.
     pub(super) fn refile(&mut self, slot: usize) {
         let landmark = &self.landmarks[slot];
+        if landmark.gone {
+            return;
+        }
         // A margin, so that small corrections change nothing in the index.
         if let Some(bounds) = Bounds::around(landmark.hull_points(), 0.1) {
             self.index.insert(landmark.id.0, bounds.coarse());
