@@ -6,6 +6,7 @@ mod curves;
 mod drive;
 mod long_loop;
 mod long_run;
+mod movers;
 mod real_scan;
 mod recognition;
 mod situations;

@@ -1,7 +1,7 @@
 //! Covariances of the fits against their errors over many noisy scans of known surfaces.
 
 use super::scanner::{Noise, Scanner, scan};
-use super::world::{Random, World, pose};
+use super::world::{Random, Solid, World, pose};
 use nalgebra::{Matrix3, Point3, SMatrix, SVector, Unit, Vector3};
 use usar_agent::segmentation::{SegmentationConfig, Segmenter, Shape, Surface};
 
@@ -78,28 +78,59 @@ fn the_covariance_of_a_grazing_floor_is_that_of_its_errors() {
     assert_consistent(&world, |surface| plane_error(surface, Vector3::z(), -0.6));
 }
 
+/// Errors of a cylinder against the true one, in the frame that its covariance is documented to have.
+fn cylinder_error(
+    surface: &Surface,
+    (foot, axis, radius_m): (Point3<f64>, Unit<Vector3<f64>>, f64),
+) -> Option<(SVector<f64, 5>, SMatrix<f64, 5, 5>)> {
+    let Shape::Cylinder(found) = &surface.shape else { return None };
+    let axis_found = found.axis.into_inner();
+    let mut least = Vector3::zeros();
+    least[axis_found.iamin()] = 1.0;
+    let e1 = axis_found.cross(&least).normalize();
+    let e2 = axis_found.cross(&e1);
+    let truth = if axis.dot(&axis_found) < 0.0 { -axis.into_inner() } else { axis.into_inner() };
+    // The true axis where it passes the plane across the found one at its middle.
+    let from = foot - found.axis_point;
+    let at = from - truth * (axis_found.dot(&from) / axis_found.dot(&truth));
+    let tilt = truth / axis_found.dot(&truth) - axis_found;
+    let e = [e1.dot(&at), e2.dot(&at), e1.dot(&tilt), e2.dot(&tilt), radius_m - found.radius_m];
+    Some((SVector::<f64, 5>::from(e), found.covariance))
+}
+
 #[test]
 fn the_covariance_of_a_drum_is_that_of_its_errors() {
     let mut world = World::default();
     let (foot, axis) =
         (Point3::new(2.6, -0.2, -1.5), Unit::new_normalize(Vector3::new(0.1, 0.15, 1.0)));
     world.drum(foot.coords.into(), axis.into_inner().into(), 0.3, 3.0);
+    assert_consistent(&world, |surface| cylinder_error(surface, (foot, axis, 0.3)));
+}
+
+/// A round room, and a vault whose axis lies: both are seen from within, a part of the circle each.
+#[test]
+fn the_covariance_of_a_cylinder_seen_from_within_is_that_of_its_errors() {
+    for (foot, axis, radius) in [
+        (Point3::new(-1.0, 0.8, -3.0), Vector3::new(0.05, 0.0, 1.0), 4.0),
+        (Point3::new(-9.0, -3.0, -0.5), Vector3::new(1.0, 0.3, 0.02), 2.5),
+    ] {
+        let axis = Unit::new_normalize(axis);
+        let mut world = World::default();
+        let tube = Solid::Tube { foot, axis: axis.into_inner(), radius, length: 30.0 };
+        world.solids.push(tube);
+        assert_consistent(&world, |surface| cylinder_error(surface, (foot, axis, radius)));
+    }
+}
+
+#[test]
+fn the_covariance_of_a_dome_is_that_of_its_errors() {
+    let mut world = World::default();
+    let centre = Point3::new(0.5, 0.2, -0.4);
+    world.ball(centre.coords.into(), 3.0);
     assert_consistent(&world, |surface| {
-        let Shape::Cylinder(found) = &surface.shape else { return None };
-        // The frame of the covariance, as its documentation defines it.
-        let axis_found = found.axis.into_inner();
-        let mut least = Vector3::zeros();
-        least[axis_found.iamin()] = 1.0;
-        let e1 = axis_found.cross(&least).normalize();
-        let e2 = axis_found.cross(&e1);
-        let truth =
-            if axis.dot(&axis_found) < 0.0 { -axis.into_inner() } else { axis.into_inner() };
-        // The true axis where it passes the plane across the found one at its middle.
-        let from = foot - found.axis_point;
-        let at = from - truth * (axis_found.dot(&from) / axis_found.dot(&truth));
-        let tilt = truth / axis_found.dot(&truth) - axis_found;
-        let e = [e1.dot(&at), e2.dot(&at), e1.dot(&tilt), e2.dot(&tilt), 0.3 - found.radius_m];
-        Some((SVector::<f64, 5>::from(e), found.covariance))
+        let Shape::Sphere(found) = &surface.shape else { return None };
+        let e = centre - found.centre;
+        Some((SVector::<f64, 4>::new(e.x, e.y, e.z, 3.0 - found.radius_m), found.covariance))
     });
 }
 

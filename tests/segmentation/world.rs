@@ -102,7 +102,9 @@ impl Solid {
                 let (o, d) = (across(from - foot), across(*ray));
                 let (a, b) = (d.norm_squared(), o.dot(&d));
                 let root = b * b - a * (o.norm_squared() - radius * radius);
-                let t = (-b - root.sqrt()) / a;
+                // From within the ray meets the far side.
+                let leaves = if o.norm_squared() < radius * radius { 1.0 } else { -1.0 };
+                let t = (-b + leaves * root.sqrt()) / a;
                 let height = axis.dot(&(from + ray * t - foot));
                 (near(t) && (infinite || (0.0..=*length).contains(&height))).then_some(t)
             }
@@ -110,7 +112,8 @@ impl Solid {
                 let o = from - centre;
                 let b = o.dot(ray);
                 let root = b * b - (o.norm_squared() - radius * radius);
-                let t = -b - root.sqrt();
+                let leaves = if o.norm_squared() < radius * radius { 1.0 } else { -1.0 };
+                let t = -b + leaves * root.sqrt();
                 near(t).then_some(t)
             }
         }
