@@ -71,6 +71,7 @@ pub(super) struct Assembler {
     blocks: Blocks,
     uneven: UnevenPlanes,
     fitted: Vec<FittedRegion>,
+    spare_fitted: Vec<FittedRegion>,
     /// Planes that were seen on more than two beams, and the fitted regions that were not.
     planes: Vec<[f64; 3]>,
     guesses: Vec<usize>,
@@ -86,6 +87,9 @@ pub(super) struct Assembler {
 #[derive(Clone, Debug)]
 struct FittedRegion {
     component: usize,
+    /// Its first cell in the grid.
+    first: usize,
+    cells: usize,
     shape: Fitted,
     centroid: Vector3<f64>,
     /// Mean square distance of the points from a sphere or a cylinder.
@@ -226,14 +230,30 @@ impl Assembler {
         known: Known,
     ) {
         self.leave_borders_out(field);
-        self.fitted.clear();
+        // What was fitted before the last parting and is none of the parted comes again as it was.
+        let mut before =
+            std::mem::replace(&mut self.fitted, std::mem::take(&mut self.spare_fitted));
+        let mut known_regions = before.drain(..).peekable();
         for k in 0..self.order.len() {
-            let (_, component) = self.order[k];
-            let label = labels[self.middle(component)];
-            let (q, model) = (known.plane(label), known.model(label));
-            let region = self.fit_region(field, component, config, q, model);
+            let (first, component) = self.order[k];
+            let cells = self.components.sizes[component];
+            while known_regions.next_if(|region| region.first < first).is_some() {}
+            let same =
+                known_regions.next_if(|region| (region.first, region.cells) == (first, cells));
+            let region = match same {
+                // That it could not be parted is known.
+                Some(same) => FittedRegion { component, doubtful: false, ..same },
+                None => {
+                    let label = labels[self.middle(component)];
+                    let (q, model) = (known.plane(label), known.model(label));
+                    let region = self.fit_region(field, component, config, q, model);
+                    FittedRegion { first, ..region }
+                }
+            };
             self.fitted.push(region);
         }
+        drop(known_regions);
+        self.spare_fitted = before;
     }
 
     /// Parts the planes that do not explain all of their readings; returns whether there were any that
@@ -291,7 +311,16 @@ impl Assembler {
             let doubtful = sums.totals[SUMMED_SQUARE] > cells as f64 * (1.0 + excess);
             let centroid = centroid_of(sums);
             let unevenness = None;
-            FittedRegion { component, shape, centroid, square_m2: None, doubtful, unevenness }
+            FittedRegion {
+                component,
+                first: 0,
+                cells,
+                shape,
+                centroid,
+                square_m2: None,
+                doubtful,
+                unevenness,
+            }
         };
         if let Some(plane) = plane_of(&sums)
             && is_flat(error, cells, &plane, &config.limits, &field.errors)

@@ -23,6 +23,8 @@ const GUESS_ERROR: f64 = 4.0;
 /// Angles between the normals of two facets of a curved surface, as cosines: 4° to 75°.
 const SMALLEST_TURN: f64 = 0.9976;
 const LARGEST_TURN: f64 = 0.26;
+/// Times that the radius of the circle through two facets may be as large as their distance and turn have it.
+const ROOM: f64 = 3.0;
 /// Gate of the growth in standard deviations of what is compared, and what is always allowed in
 /// standard deviations of one reading.
 const GATE: f64 = 3.0;
@@ -128,7 +130,13 @@ impl CurveFinder {
             let cosine = qa.dot(&qb) / (qa.norm() * qb.norm());
             // A facet on one lane has no normal of its own, so nothing is known of the turn.
             let free = self.facets.is_one_lane(a) || self.facets.is_one_lane(b);
-            if free || (LARGEST_TURN < cosine && cosine < SMALLEST_TURN) {
+            let bends = || {
+                // As wide as they are for the circle through both, with room for what noise turns them by.
+                let radius_m = self.facets.apart_m(a, b) / (2.0 * (1.0 - cosine)).sqrt();
+                let may_curve = |region| self.facets.may_curve(region, ROOM * radius_m);
+                may_curve(a) && may_curve(b)
+            };
+            if free || (LARGEST_TURN < cosine && cosine < SMALLEST_TURN && bends()) {
                 let n = first.moments.n + second.moments.n;
                 self.guesses.push((n, a, b));
             }

@@ -112,6 +112,11 @@ impl Facets {
         size.width_m * size.width_m < 40.0 * radius_m * size.sigma_m
     }
 
+    /// Distance between the middles of two regions.
+    pub fn apart_m(&self, a: u32, b: u32) -> f64 {
+        (self.sizes[a as usize].centroid - self.sizes[b as usize].centroid).norm()
+    }
+
     /// Whether two regions meet in space, not in the image alone.
     pub fn meet(&self, a: u32, b: u32) -> bool {
         let (a, b) = (&self.sizes[a as usize], &self.sizes[b as usize]);
