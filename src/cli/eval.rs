@@ -179,6 +179,9 @@ fn table(folders: &[&Path], scores: &[Evaluation]) -> String {
         score.planes.map(|p| format!("{:.3}", p.tilt_median_deg))
     });
     row("NEES of keyframes (6)", &|score| score.nees.map(|nees| format!("{:.2}", nees.mean)));
+    row("NEES from each to the next (6)", &|score| {
+        score.step_nees.map(|nees| format!("{:.2}", nees.mean))
+    });
     row("truth told to, m and deg", &|score| {
         let nees = score.nees.filter(|nees| nees.truth_step_m.max(nees.truth_step_rad) > 0.0)?;
         Some(format!("{} / {:.4}", nees.truth_step_m, nees.truth_step_rad.to_degrees()))

@@ -185,6 +185,10 @@ fn read_poses(path: Option<&Path>, scans: usize) -> Result<Option<Vec<TimedPose>
     if poses.len() != scans {
         bail!("{}: {} poses found, {scans} scans given", path.display(), poses.len());
     }
+    if let Some(at) = poses.windows(2).position(|pair| pair[1].time_s < pair[0].time_s) {
+        let (before, after) = (poses[at].time_s, poses[at + 1].time_s);
+        bail!("{}: pose {} is of {after} s, before that of {before} s", path.display(), at + 2);
+    }
     Ok(Some(poses))
 }
 
@@ -265,6 +269,9 @@ fn document(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> Value {
                 "nis": report.nis,
                 "nis_degrees": report.nis_degrees,
                 "weak_directions": weak,
+                "hypotheses": report.hypotheses,
+                // As told then; what was seen later has moved it on, to where `keyframes.json` has it.
+                "pose": report.world_from_robot,
                 "covariance": rows(&report.covariance),
                 "segment_ms": step.segment_ms,
                 "map_ms": step.map_ms,

@@ -47,7 +47,7 @@ pub struct Doorway {
 }
 
 /// Rooms, doorways and their links.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Places {
     /// By identity.
     pub rooms: Vec<Room>,
@@ -55,6 +55,12 @@ pub struct Places {
     pub doorways: Vec<Doorway>,
     next_id: u32,
     next_doorway_id: u32,
+}
+
+impl Default for Places {
+    fn default() -> Self {
+        Self { rooms: Vec::new(), doorways: Vec::new(), next_id: 1, next_doorway_id: 1 }
+    }
 }
 
 impl Places {
@@ -90,7 +96,7 @@ impl Places {
             cells.sort_unstable();
             let id = self.heir_of(&cells, &taken).unwrap_or_else(|| {
                 places.next_id += 1;
-                places.next_id
+                places.next_id - 1
             });
             taken.insert(id);
             id_of.insert(*label, id);
@@ -108,7 +114,7 @@ impl Places {
             };
             let id = self.old_doorway(&meeting.middle, &places.doorways).unwrap_or_else(|| {
                 places.next_doorway_id += 1;
-                places.next_doorway_id
+                places.next_doorway_id - 1
             });
             places.doorways.push(Doorway {
                 id,

@@ -8,7 +8,7 @@ use super::tum::TimedPose;
 use crate::geometry::{contains_point, convex_hull};
 use crate::mapping::perturbation::pose_error;
 use crate::sim::World;
-use nalgebra::{Isometry3, Point2, Point3, Unit, Vector3};
+use nalgebra::{Isometry3, Matrix6, Point2, Point3, Unit, Vector3};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -25,7 +25,7 @@ const ONE_OF_ITS_SURFACES: f64 = 0.25;
 const SEEN_ALIKE_M: f64 = 0.03;
 const SEEN_ALIKE_RAD: f64 = 0.1;
 
-/// Normalised estimation errors squared of the motions from the first keyframe to each later one.
+/// Normalised estimation errors squared of motions between keyframes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Nees {
     /// Keyframes compared.
@@ -56,21 +56,36 @@ pub struct Associations {
     pub doubled: usize,
 }
 
-/// NEES of the keyframes; `None` without truth or covariances. `steps` are what the truth was rounded to: a
-/// motion is no better known than both of its ends, and the angles of the first move all that is far from it.
+/// NEES of the motions from the first keyframe to each later one; `None` without truth or covariances. `steps`
+/// are what the truth was rounded to: a motion is no better known than both of its ends, and the angles of the
+/// first move all that is far from it.
 pub(super) fn nees(keyframes: &[Keyframe], truth: &[TimedPose], steps: Steps) -> Option<Nees> {
+    let (first, later) = keyframes.split_first()?;
+    let motions = later.iter().map(|keyframe| (first, keyframe, keyframe.motion_covariance));
+    nees_of(motions, truth, steps)
+}
+
+/// The same of the motions from each keyframe to the next: once the way from the first is open by decimetres,
+/// only these show what is told for sure and wrong.
+pub(super) fn step_nees(keyframes: &[Keyframe], truth: &[TimedPose], steps: Steps) -> Option<Nees> {
+    let pairs = keyframes.windows(2).map(|pair| (&pair[0], &pair[1], pair[1].step_covariance));
+    nees_of(pairs, truth, steps)
+}
+
+fn nees_of<'a>(
+    motions: impl Iterator<Item = (&'a Keyframe, &'a Keyframe, Option<Matrix6<f64>>)>,
+    truth: &[TimedPose],
+    steps: Steps,
+) -> Option<Nees> {
     let pose_at = true_poses(truth)?;
-    let first = keyframes.first()?;
-    let first_true = pose_at(first)?;
-    let errors: Vec<f64> = keyframes[1..]
-        .iter()
-        .filter_map(|keyframe| {
-            let motion = first.pose.inverse() * keyframe.pose;
-            let pose_true = pose_at(keyframe)?;
-            let true_motion = first_true.inverse() * pose_true;
+    let errors: Vec<f64> = motions
+        .filter_map(|(before, after, covariance)| {
+            let (true_before, true_after) = (pose_at(before)?, pose_at(after)?);
+            let motion = before.pose.inverse() * after.pose;
+            let true_motion = true_before.inverse() * true_after;
             let error = pose_error(&true_motion, &motion);
-            let rounding = steps.of_motion(&first_true, &pose_true);
-            let information = (keyframe.motion_covariance? + rounding).try_inverse()?;
+            let rounding = steps.of_motion(&true_before, &true_after);
+            let information = (covariance? + rounding).try_inverse()?;
             Some(error.dot(&(information * error)))
         })
         .collect();
@@ -243,7 +258,6 @@ fn same_plane(a: &SeenPlane, b: &SeenPlane, within_m: f64, within_rad: f64) -> b
 mod tests {
     use super::*;
     use crate::sim::MapFile;
-    use nalgebra::Matrix6;
 
     fn truth() -> Vec<TimedPose> {
         let pose = |i: u32| Isometry3::translation(0.1 * f64::from(i), 0.0, 0.2);
@@ -255,6 +269,7 @@ mod tests {
             time_s: Some(time_s),
             pose: Isometry3::translation(0.1 * time_s + off_m, 0.0, 0.2),
             motion_covariance: Some(Matrix6::identity() * 1e-4),
+            step_covariance: Some(Matrix6::identity() * 1e-6),
             sightings,
         }
     }
@@ -270,6 +285,10 @@ mod tests {
         assert_eq!(nees.keyframes, 2);
         assert!((nees.mean - (9.0 + 25.0) / 2.0).abs() < 1e-6, "{nees:?}");
         assert!((nees.within_95 - 0.5).abs() < 1e-9);
+        // From each to the next it is 0.03 and 0.02 m, of 0.001 m told.
+        let steps = step_nees(&keyframes, &truth(), Steps::default()).unwrap();
+        assert_eq!(steps.keyframes, 2);
+        assert!((steps.mean - (900.0 + 400.0) / 2.0).abs() < 1e-3, "{steps:?}");
     }
 
     #[test]

@@ -97,6 +97,8 @@ pub struct Evaluation {
     pub planes: Option<PlaneErrors>,
     /// Errors of the keyframes against their covariance.
     pub nees: Option<Nees>,
+    /// Errors of the motions from each keyframe to the next against their covariance.
+    pub step_nees: Option<Nees>,
     /// What planes were taken for: against the surfaces of the world, or where that is not known against one
     /// another.
     pub associations: Option<Associations>,
@@ -182,6 +184,7 @@ pub fn evaluate(files: &RunFiles, world: Option<(&World, &Passability)>) -> Eval
     // Poses given with scans may be round numbers and exact; what a wire tells was rounded.
     let steps = if report.is_of_map() { Steps::default() } else { Steps::of(&files.truth) };
     evaluation.nees = consistency::nees(&files.keyframes, &files.truth, steps);
+    evaluation.step_nees = consistency::step_nees(&files.keyframes, &files.truth, steps);
     evaluation.associations =
         consistency::associations(&files.keyframes, &files.truth, world.map(|(world, _)| world));
     let Some((world, limits)) = world else { return evaluation };

@@ -18,6 +18,9 @@ pub struct Keyframe {
     /// Covariance of the motion from the first keyframe, as a perturbation (translation in metres, rotation
     /// vector in radians) in the frame of the first; `None` in the paper's mode, which keeps none.
     pub motion_covariance: Option<Matrix6<f64>>,
+    /// The same of the motion from the keyframe before, in the frame of that one; `None` for the first.
+    #[serde(default)]
+    pub step_covariance: Option<Matrix6<f64>>,
     /// The planes seen, in the robot frame.
     pub sightings: Vec<Sighting>,
 }
@@ -47,6 +50,9 @@ pub fn keyframes_at(
         time_s,
         pose,
         motion_covariance: mapper.motion_covariance(0, number),
+        step_covariance: number
+            .checked_sub(1)
+            .and_then(|last| mapper.motion_covariance(last, number)),
         sightings: sightings(mapper, number),
     };
     mapper.keyframes().into_iter().zip(times_s).enumerate().map(record).collect()

@@ -466,6 +466,25 @@ fn what_map_writes_is_scored_and_what_is_missing_is_named() {
     assert_eq!(score["nees"]["truth_step_m"], 0.0, "round numbers, but exact");
     assert_eq!(score["associations"]["wrong"], 0);
     assert!(score["associations"]["right"].as_u64().unwrap() >= 6, "{score}");
+    assert_eq!(score["step_nees"]["keyframes"], 2);
+
+    // A truth that is named goes before the run's own; one that ends elsewhere is told.
+    let other = path("other.tum");
+    fs::write(&other, poses(0.5)).unwrap();
+    let (score, said) = eval(&["--truth", text(&other)]);
+    assert!((score["ate"]["final_m"].as_f64().unwrap() - 0.4).abs() < 0.005, "{score}");
+    assert!(!said.contains("ends at"), "{said}");
+    fs::write(&other, poses(0.3).lines().take(2).collect::<Vec<_>>().join("\n")).unwrap();
+    let (_, said) = eval(&["--truth", text(&other)]);
+    assert!(said.contains("ends at 2 s, the truth at 1 s"), "{said}");
+
+    let backwards = path("backwards.tum");
+    fs::write(&backwards, "0 0 0 0 0 0 0 1\n5 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n").unwrap();
+    let scans = ["map", text(&a), text(&b), text(&c)];
+    fails_with(
+        &[&scans[..], &["--odometry", text(&backwards)]].concat(),
+        &["backwards.tum", "pose 3 is of 1 s, before that of 5 s"],
+    );
 
     // The paper's filter has no covariance of motions, and says so instead of a number.
     assert!(map("mip").contains("no NEES"));
