@@ -25,8 +25,11 @@ const PIECES_COSINE: f64 = 0.999;
 const PIECES_GAP_M: f64 = 0.15;
 /// Squared Mahalanobis distance from which on they are not of one plane.
 const PIECES_DIFFER: f64 = 16.0;
-/// Step from one to the other, in metres, from which on something ends there.
-const PIECES_STEP_M: f64 = 0.02;
+/// Step from one to the other from which on something ends there: metres, share of the smaller one's extent
+/// times the turn, as facets of a bend lie to one another, and deviations of what surfaces wave by here.
+const PIECES_STEP_M: f64 = 0.005;
+const PIECES_STEP_SHARE: f64 = 0.25;
+const PIECES_STEP_SIGMAS: f64 = 4.0;
 
 /// How uneven the planes of a scan are. The buffers are kept from scan to scan.
 #[derive(Clone, Debug, Default)]
@@ -54,7 +57,7 @@ impl UnevenPlanes {
     /// by. What too few readings tell for themselves is taken from what is usual in the scan.
     pub fn tell(&mut self, surfaces: &mut [Surface]) {
         let usual_m2 = self.usual_m2(surfaces);
-        self.compare_pieces(surfaces);
+        self.compare_pieces(surfaces, usual_m2.max(0.0).sqrt());
         for (index, found) in &self.planes {
             let square_m2 = found.map_or(usual_m2, |found| found.told_m2(usual_m2));
             let Shape::Plane(patch) = &mut surfaces[*index].shape else { continue };
@@ -73,7 +76,7 @@ impl UnevenPlanes {
     }
 
     /// Lists the patches that go on in others that are nearly but not quite of their plane.
-    fn compare_pieces(&mut self, surfaces: &[Surface]) {
+    fn compare_pieces(&mut self, surfaces: &[Surface], usual_m: f64) {
         self.pieces.clear();
         for (at, (index, _)) in self.planes.iter().enumerate() {
             let Shape::Plane(patch) = &surfaces[*index].shape else { continue };
@@ -85,7 +88,7 @@ impl UnevenPlanes {
                     continue;
                 }
                 for (own, beside, place) in [(patch, other, *index), (other, patch, *other_index)] {
-                    if let Some((turn_rad, step_m)) = piece_beside(own, beside) {
+                    if let Some((turn_rad, step_m)) = piece_beside(own, beside, usual_m) {
                         self.pieces.push((place, turn_rad, step_m));
                     }
                 }
@@ -171,8 +174,12 @@ fn add_turns(patch: &mut PlanePatch, turns: &Matrix2<f64>, rise_m: f64) {
 }
 
 /// The rotations about y and x from a patch to one beside it, and the step between both where they meet;
-/// `None` where they are apart, or may be of one plane.
-fn piece_beside(patch: &PlanePatch, beside: &PlanePatch) -> Option<(Vector2<f64>, f64)> {
+/// `None` where they are apart, or may be of one plane. Surfaces wave by `usual_m` here.
+fn piece_beside(
+    patch: &PlanePatch,
+    beside: &PlanePatch,
+    usual_m: f64,
+) -> Option<(Vector2<f64>, f64)> {
     let plane_from_beside = patch.grid_from_plane.inverse() * beside.grid_from_plane;
     let fresh = [f64::INFINITY, f64::NEG_INFINITY];
     let (mut others, mut step_m, mut nearest_m) = ([fresh; 2], 0.0, f64::INFINITY);
@@ -190,12 +197,17 @@ fn piece_beside(patch: &PlanePatch, beside: &PlanePatch) -> Option<(Vector2<f64>
     }
     let gap_m =
         |axis: usize| (others[axis][0] - ends_m[axis].1).max(ends_m[axis].0 - others[axis][1]);
-    if gap_m(0).max(gap_m(1)) > PIECES_GAP_M || step_m.abs() > PIECES_STEP_M {
+    if gap_m(0).max(gap_m(1)) > PIECES_GAP_M {
         return None;
     }
     // The other's plane as a perturbation of this frame: its height over the origin, and its tilts.
     let normal = plane_from_beside.rotation * Vector3::z();
     let turn_rad = Vector2::new(normal.x, -normal.y) / normal.z;
+    let extent_m = spans_m(patch).max().min(spans_m(beside).max());
+    let bend_m = PIECES_STEP_SHARE * extent_m * turn_rad.norm();
+    if step_m.abs() > PIECES_STEP_M + bend_m + PIECES_STEP_SIGMAS * usual_m {
+        return None;
+    }
     let origin = plane_from_beside.translation.vector;
     let offset_m = origin.dot(&normal) / normal.z;
     let difference = Vector3::new(offset_m, turn_rad.x, turn_rad.y);
