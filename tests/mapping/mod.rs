@@ -1,5 +1,6 @@
 //! Localisation and mapping, from the outside.
 
+mod bent;
 mod closures;
 mod consistency;
 mod curves;
