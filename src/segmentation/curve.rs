@@ -23,6 +23,8 @@ const GUESS_ERROR: f64 = 4.0;
 /// Angles between the normals of two facets of a curved surface, as cosines: 4° to 75°.
 const SMALLEST_TURN: f64 = 0.9976;
 const LARGEST_TURN: f64 = 0.26;
+/// Radius in metres up to which a guess is held to nothing: facets of small things are merged to wider ones.
+const SMALL_M: f64 = 2.0;
 /// Times that the radius of the circle through two facets may be as large as their distance and turn have it.
 const ROOM: f64 = 3.0;
 /// Gate of the growth in standard deviations of what is compared, and what is always allowed in
@@ -133,7 +135,8 @@ impl CurveFinder {
             let bends = || {
                 // As wide as they are for the circle through both, with room for what noise turns them by.
                 let radius_m = self.facets.apart_m(a, b) / (2.0 * (1.0 - cosine)).sqrt();
-                let may_curve = |region| self.facets.may_curve(region, ROOM * radius_m);
+                let may_curve =
+                    |region| self.facets.may_curve(region, (ROOM * radius_m).max(SMALL_M));
                 may_curve(a) && may_curve(b)
             };
             if free || (LARGEST_TURN < cosine && cosine < SMALLEST_TURN && bends()) {
@@ -227,7 +230,7 @@ impl CurveFinder {
             };
             // Each stick end stands for several readings, so a good guess has an error of one.
             if radius_m <= limits.max_radius_m
-                && facets.iter().all(|&facet| self.facets.may_curve(facet, radius_m))
+                && facets.iter().all(|&facet| self.facets.may_curve(facet, radius_m.max(SMALL_M)))
                 && error < GUESS_ERROR
                 && best.as_ref().is_none_or(|best| error < best.0)
             {
@@ -308,7 +311,7 @@ impl CurveFinder {
             model = refined;
         }
         // Errors across the surface bias the radius by σ² / R; those along the rays do not.
-        let Some(model) = settle_model(&self.readings, &model) else { return };
+        let Some(model) = settle_model(&self.readings, &model, limits, &self.trust) else { return };
         let radius_m = match &model {
             Model::Cylinder { radius_m, .. } | Model::Sphere { radius_m, .. } => *radius_m,
             Model::Plane { .. } => return,

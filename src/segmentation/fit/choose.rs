@@ -166,15 +166,26 @@ pub(in super::super) fn improve_model(readings: &Readings, model: &Model) -> Opt
     }
 }
 
-/// A sphere or cylinder that is nearly right, settled along the rays.
-pub(in super::super) fn settle_model(readings: &Readings, model: &Model) -> Option<Model> {
+/// A sphere or cylinder that is nearly right, settled along the rays. One that is large, or seen from within,
+/// must be seen as in the end it has to be: noise makes such of any strip.
+pub(in super::super) fn settle_model(
+    readings: &Readings,
+    model: &Model,
+    limits: &ShapeLimits,
+    errors: &ReadingErrors,
+) -> Option<Model> {
     match model {
         Model::Plane { .. } => None,
         Model::Sphere { centre, radius_m } => {
-            settle_sphere(readings, (*centre, *radius_m)).map(|fit| fit.model())
+            let fit = settle_sphere(readings, (*centre, *radius_m))?;
+            let common =
+                fit.radius_m <= LARGE_M && !readings.are_within(&fit.centre, &Vector3::zeros());
+            (common || sphere_is_seen(readings, &fit, limits, errors)).then(|| fit.model())
         }
         Model::Cylinder { foot, axis, radius_m } => {
-            settle_cylinder(readings, (*foot, *axis, *radius_m)).map(|fit| fit.model())
+            let fit = settle_cylinder(readings, (*foot, *axis, *radius_m))?;
+            let common = fit.radius_m <= LARGE_M && !readings.are_within(&fit.foot, &fit.axis);
+            (common || cylinder_is_seen(readings, &fit, limits, errors)).then(|| fit.model())
         }
     }
 }
