@@ -92,12 +92,14 @@ impl Judged {
     }
 }
 
-/// Scores of explanations, each for itself, with what the map says against them.
+/// Scores of explanations, each for itself, with what the map says against them. Where the motion was
+/// `measured`, something may have moved.
 pub(super) fn weigh(
     claims: Vec<Claim>,
     estimate: &Estimate,
     options: &[Prepared],
     scan: &ScanObservations,
+    measured: bool,
 ) -> Vec<Judged> {
     let weigh = |claim: Claim| {
         let option = &options[claim.prepared];
@@ -127,7 +129,7 @@ pub(super) fn weigh(
         let against = held_against(&[]);
         let plain = judge(&against, Vec::new(), 0.0);
         // Only where odometry is believed, if not to the letter: elsewhere whatever does not fit would have moved.
-        if claim.log_prior < LOG_SELDOM {
+        if !measured || claim.log_prior < LOG_SELDOM {
             return plain;
         }
         let moved = estimate.moved(scan, option, &claim.assignment, &against.by);

@@ -34,8 +34,10 @@ const LOG_UNRECOGNISED: f64 = -5.0;
 /// Share of a scan's planes and of their area that is recognised from which on one explanation is taken as it
 /// comes.
 const KNOWN_SHARE: f64 = 0.6;
-/// Standard deviation of a motion over the ground from which on nobody has measured it.
+/// Standard deviation of a motion over the ground from which on nobody has measured it, and up to which it was
+/// measured so well that a thing which is elsewhere may have moved.
 const OPEN_M: f64 = 0.25;
+const MEASURED_M: f64 = 0.15;
 /// Corrections that are looked at twice, whatever the odometry's noise allows, and how many pairs
 /// fewer another explanation may then have.
 const LARGE_M: f64 = 0.1;
@@ -296,7 +298,9 @@ impl<'a> Fork<'a> {
     }
 
     fn weigh(&self, claims: Vec<Claim>) -> Vec<Judged> {
-        weigh(claims, self.estimate, self.prepared, self.arrival.scan)
+        let level_m2 = (0..2).map(|i| self.arrival.motion_covariance[(i, i)]).fold(0.0, f64::max);
+        let measured = level_m2 < MEASURED_M * MEASURED_M;
+        weigh(claims, self.estimate, self.prepared, self.arrival.scan, measured)
     }
 }
 
