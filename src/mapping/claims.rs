@@ -107,36 +107,37 @@ pub(super) fn weigh(
             let Claim { assignment, left_out, .. } = &claim;
             estimate.contradiction(scan, option, assignment, left_out, gone)
         };
-        let judge = |against: &Contradiction, gone: Vec<LandmarkId>, support: f64| {
-            let Claim { prepared, assignment, log_prior, far, carried, beside_pairs, .. } = &claim;
-            let refuted = against.share();
-            let score =
-                assignment.support + beside_pairs + log_prior + against.footing + against.doubled
-                    - weight_of(refuted)
-                    + support;
-            Judged {
-                prepared: *prepared,
-                assignment: assignment.clone(),
-                score,
-                refuted,
-                misplaced: against.misplaced,
-                far: *far,
-                carried: *carried,
-                known: assignment.pairs.iter().map(|pair| option.landmark_of(pair.1)).collect(),
-                gone,
-            }
+        let score = |against: &Contradiction| {
+            let Claim { assignment, log_prior, beside_pairs, .. } = &claim;
+            assignment.support + beside_pairs + log_prior + against.footing + against.doubled
+                - weight_of(against.share())
         };
-        let against = held_against(&[]);
-        let plain = judge(&against, Vec::new(), 0.0);
+        let mut against = held_against(&[]);
+        let (mut best, mut gone) = (score(&against), Vec::new());
         // Only where odometry is believed, if not to the letter: elsewhere whatever does not fit would have moved.
-        if !measured || claim.log_prior < LOG_SELDOM {
-            return plain;
+        let may_have_moved = measured && claim.log_prior >= LOG_SELDOM;
+        let moved =
+            may_have_moved.then(|| estimate.moved(scan, option, &claim.assignment, &against.by));
+        if let Some(Moved { landmarks, log_there, support }) = moved.flatten() {
+            best += log_there;
+            let without = held_against(&landmarks);
+            let other = score(&without) + support;
+            if other > best {
+                (against, best, gone) = (without, other, landmarks);
+            }
         }
-        let moved = estimate.moved(scan, option, &claim.assignment, &against.by);
-        let Some(Moved { landmarks, log_there, support }) = moved else { return plain };
-        let moved = judge(&held_against(&landmarks), landmarks, support);
-        let plain = Judged { score: plain.score + log_there, ..plain };
-        if moved.score > plain.score { moved } else { plain }
+        let Claim { prepared, assignment, far, carried, .. } = claim;
+        Judged {
+            prepared,
+            score: best,
+            refuted: against.share(),
+            misplaced: against.misplaced,
+            far,
+            carried,
+            known: assignment.pairs.iter().map(|pair| option.landmark_of(pair.1)).collect(),
+            gone,
+            assignment,
+        }
     };
     claims.into_iter().map(weigh).collect()
 }
@@ -199,8 +200,8 @@ fn discount_things(judged: &mut [Judged]) {
     let Some(best) = by_odometry.max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
     let (known, gone, score) = (best.known.clone(), best.gone.clone(), best.score);
     for option in judged.iter_mut().filter(|option| option.gone.is_empty()) {
-        let mut more = option.known.iter().filter(|landmark| !known.contains(landmark));
-        if !option.known.is_empty() && more.all(|landmark| gone.contains(landmark)) {
+        let mut more = option.known.iter().filter(|landmark| !known.contains(landmark)).peekable();
+        if more.peek().is_some() && more.all(|landmark| gone.contains(landmark)) {
             option.score = option.score.min(score - UNPROVEN);
         }
     }

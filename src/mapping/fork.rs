@@ -151,7 +151,7 @@ impl<'a> Fork<'a> {
             weighed.extend(wider);
         }
         // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
-        if (0..2).any(|i| arrival.motion_covariance[(i, i)] > OPEN_M * OPEN_M) {
+        if self.level_m() > OPEN_M {
             let within_reach = self.within_reach(&predicted);
             elsewhere |= !within_reach.is_empty();
             weighed.extend(within_reach);
@@ -213,8 +213,7 @@ impl<'a> Fork<'a> {
         let least_wide = if doubts.displaced { least.min(nearly) } else { least };
         // A pair or two fit somewhere within so wide a reach whatever was seen.
         let least_slipped = (pairs + 1).min(most).max(FEW_PAIRS);
-        let level_m2 = (0..2).map(|i| self.arrival.motion_covariance[(i, i)]).fold(0.0, f64::max);
-        let widest = WIDEST_M / level_m2.sqrt();
+        let widest = WIDEST_M / self.level_m();
         let (mut found, mut so_far) = (Vec::new(), 1.0);
         for (widening, log_prior, least) in
             [(WIDENING, LOG_SELDOM, least_wide), (SLIPPED, LOG_SLIPPED, least_slipped)]
@@ -289,17 +288,21 @@ impl<'a> Fork<'a> {
         claims
     }
 
+    /// Standard deviation of the motion over the ground, where it is greatest, in metres.
+    fn level_m(&self) -> f64 {
+        let covariance = &self.arrival.motion_covariance;
+        covariance[(0, 0)].max(covariance[(1, 1)]).sqrt()
+    }
+
     /// Correction, in metres and radians, from which on it needs proof.
     fn far(&self) -> (f64, f64) {
-        let variance = |i: usize| self.arrival.motion_covariance[(i, i)];
-        let (level_m, turn_rad) = (variance(0).max(variance(1)).sqrt(), variance(5).sqrt());
+        let (level_m, turn_rad) = (self.level_m(), self.arrival.motion_covariance[(5, 5)].sqrt());
         let within = |x: f64, (least, most): (f64, f64)| x.clamp(least, most);
         (within(FAR_SIGMAS * level_m, FAR_M), within(FAR_SIGMAS * turn_rad, FAR_RAD))
     }
 
     fn weigh(&self, claims: Vec<Claim>) -> Vec<Judged> {
-        let level_m2 = (0..2).map(|i| self.arrival.motion_covariance[(i, i)]).fold(0.0, f64::max);
-        let measured = level_m2 < MEASURED_M * MEASURED_M;
+        let measured = self.level_m() < MEASURED_M;
         weigh(claims, self.estimate, self.prepared, self.arrival.scan, measured)
     }
 }

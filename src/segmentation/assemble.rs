@@ -246,8 +246,7 @@ impl Assembler {
                 None => {
                     let label = labels[self.middle(component)];
                     let (q, model) = (known.plane(label), known.model(label));
-                    let region = self.fit_region(field, component, config, q, model);
-                    FittedRegion { first, ..region }
+                    self.fit_region(field, (first, component), config, q, model)
                 }
             };
             self.fitted.push(region);
@@ -291,12 +290,12 @@ impl Assembler {
         run.map_or(0, |run| usize::midpoint(run.start, run.end))
     }
 
-    /// The shape and the centroid of a component whose plane is about `q · p = 1`; `model` is what it
-    /// was found to be instead.
+    /// The shape and the centroid of a component, with its first cell in the grid, whose plane is about
+    /// `q · p = 1`; `model` is what it was found to be instead.
     fn fit_region(
         &mut self,
         field: &Field,
-        component: usize,
+        (first, component): (usize, usize),
         config: &SegmentationConfig,
         q: [f64; 3],
         model: Option<&Model>,
@@ -313,7 +312,7 @@ impl Assembler {
             let unevenness = None;
             FittedRegion {
                 component,
-                first: 0,
+                first,
                 cells,
                 shape,
                 centroid,

@@ -126,13 +126,14 @@ fn refine(
     rounds: usize,
 ) -> Option<CylinderFit> {
     let Start { mut axis, mut foot, mut radius_m, .. } = start;
+    // Rounds along the rays are so from the first one on.
+    let hollow = phase == Phase::Rays && readings.are_within(&foot, &axis);
     let mut last = None;
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
-        let hollow = phase == Phase::Rays && readings.are_within(&foot, &axis);
         let round = Round { hollow, ..round_of(&foot, &axis, radius_m) };
         let RoundSums { normal, square, count } =
             sum_round::<5>(&readings.rays_by_column, round, phase, stride);

@@ -45,11 +45,12 @@ fn refine(
     mut phase: Phase,
     rounds: usize,
 ) -> Option<SphereFit> {
+    // Rounds along the rays are so from the first one on.
+    let hollow = phase == Phase::Rays && readings.are_within(&centre, &Vector3::zeros());
     let mut last = None;
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
-        let hollow = phase == Phase::Rays && readings.are_within(&centre, &Vector3::zeros());
         let round = Round { hollow, ..round_of(&centre, radius_m) };
         let sums = sum_round::<4>(&readings.rays_by_column, round, phase, stride);
         let RoundSums { normal, square, count } = sums;
