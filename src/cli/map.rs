@@ -13,13 +13,13 @@ use crate::export::tum::{self, TimedPose};
 use crate::files::replace::replace_file;
 use crate::mapping::{
     Mapper, MapperConfig, Mode, MotionSource, RefusalReason, ScanErrors, ScanObservations,
-    UpdateReport, WeakDirection, curved_observations, observations,
+    UpdateReport, WeakDirection, curved_observations, observations, unmeasured_motion,
 };
 use crate::scan::RangeImage;
 use crate::segmentation::{SegmentationConfig, Segmenter};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use nalgebra::{Isometry3, Matrix6, Point3};
+use nalgebra::{Isometry3, Point3};
 use serde_json::{Value, json};
 use std::fmt::Write as _;
 use std::ops::Range;
@@ -119,7 +119,7 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
                     let increment = poses[k - 1].pose.inverse() * poses[k].pose;
                     mapper.predict(&increment, MotionSource::Wheels);
                 }
-                None => mapper.predict_with(&Isometry3::identity(), &unknown_motion()),
+                None => mapper.predict_with(&Isometry3::identity(), &unmeasured_motion()),
             }
         }
         let clock = Stopwatch::start();
@@ -150,15 +150,6 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
         Format::Json => serde_json::to_string(&document)? + "\n",
     })?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// What is known of a motion that nobody measured: scans that are to be matched lie within a step.
-fn unknown_motion() -> Matrix6<f64> {
-    let (step_m, turn_rad, tilt_rad) = (0.5_f64, 0.25_f64, 0.05_f64);
-    Matrix6::from_diagonal(
-        &nalgebra::Vector6::new(step_m, step_m, 0.1, tilt_rad, tilt_rad, turn_rad)
-            .map(|sigma| sigma * sigma),
-    )
 }
 
 struct Stopwatch(Instant);

@@ -1,5 +1,5 @@
 use super::perturbation::{first_jacobian, second_jacobian, symmetric};
-use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// Metres or radians that are none: what rounding leaves of the increments of a robot that stands.
@@ -250,7 +250,7 @@ impl OdometryNoise {
             inertial.attitude_per_m * told_path,
             inertial.step_share * steps,
         ]);
-        let mut covariance = Matrix6::from_diagonal(&nalgebra::Vector6::new(
+        let mut covariance = Matrix6::from_diagonal(&Vector6::new(
             position, position, height, attitude, attitude, heading,
         ));
         // A heading error that grows along the way displaces the end sideways by half the way; when
@@ -270,6 +270,20 @@ impl OdometryNoise {
         }
         covariance + motion.measured
     }
+}
+
+/// Whether a motion is none at all: encoders that count tell at least of rocking.
+pub(super) fn is_nothing(before_from_after: &Isometry3<f64>) -> bool {
+    before_from_after.translation.vector.norm() < NOTHING
+        && before_from_after.rotation.angle() < NOTHING
+}
+
+/// Covariance `[δt; δr]` of what is known of a motion that nobody measured: scans that are to be matched lie
+/// within a step of each other.
+pub fn unmeasured_motion() -> Matrix6<f64> {
+    let (step_m, turn_rad, tilt_rad) = (0.5_f64, 0.25_f64, 0.05_f64);
+    let sigmas = Vector6::new(step_m, step_m, 0.1, tilt_rad, tilt_rad, turn_rad);
+    Matrix6::from_diagonal(&sigmas.map(|sigma| sigma * sigma))
 }
 
 /// A planar odometry increment on ground that an inertial unit sees sloping: the way driven lies in

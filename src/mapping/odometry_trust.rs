@@ -1,6 +1,8 @@
 //! How much worse than its noise model odometry turns out to be: on carpet, with a flat tyre, with another
 //! robot's numbers.
 
+use super::claims::{SAME_M, SAME_RAD, moves_far};
+use super::odometry::{is_nothing, unmeasured_motion};
 use super::perturbation::pose_error;
 use nalgebra::{Isometry3, Matrix3, Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
@@ -20,6 +22,8 @@ pub(super) struct OdometryTrust {
     /// Sum of the squared errors in units of what was expected, and the motions that it is of.
     sum: f64,
     count: f64,
+    /// Whether it told of rest when the robot had moved last.
+    dead: bool,
 }
 
 impl OdometryTrust {
@@ -30,6 +34,10 @@ impl OdometryTrust {
         covariance: &Matrix6<f64>,
         found: &Isometry3<f64>,
     ) {
+        self.dead = is_nothing(told) && moves_far(told, found, SAME_M, SAME_RAD);
+        if self.dead {
+            return;
+        }
         let error = pose_error(told, found);
         let error = Vector3::from_fn(|i, _| error[MEASURED[i]]);
         let expected = Matrix3::from_fn(|i, j| covariance[(MEASURED[i], MEASURED[j])]);
@@ -39,9 +47,12 @@ impl OdometryTrust {
         self.count = KEPT * self.count + 1.0;
     }
 
-    /// A motion's covariance with what the wheels measure as wrong as it has turned out to be, never less
-    /// than the noise model says.
-    pub(super) fn widened(&self, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+    /// The covariance of a motion with what the wheels measure as wrong as it has turned out to be, never less
+    /// than the noise model says; rest told by encoders that are dead is no measurement.
+    pub(super) fn widened(&self, told: &Isometry3<f64>, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+        if self.dead && is_nothing(told) {
+            return unmeasured_motion();
+        }
         let variance = (PRIOR + self.sum) / (PRIOR + self.count);
         let factor = variance.max(1.0).sqrt();
         let mut scale = Vector6::repeat(1.0);
@@ -72,7 +83,20 @@ mod tests {
         for _ in 0..motions {
             trust.learn(&told(), &covariance(), &found);
         }
-        trust.widened(&covariance())
+        trust.widened(&told(), &covariance())
+    }
+
+    #[test]
+    fn rest_is_no_measurement_once_the_robot_has_moved_in_it() {
+        let (rest, mut trust) = (Isometry3::identity(), OdometryTrust::default());
+        trust.learn(&rest, &covariance(), &Isometry3::translation(1e-3, 0.0, 0.0));
+        assert_eq!(trust.widened(&rest, &covariance()), covariance());
+        trust.learn(&rest, &covariance(), &told());
+        assert_eq!(trust.widened(&rest, &covariance()), unmeasured_motion());
+        // What does tell of a motion is believed, and rest after it.
+        assert_eq!(trust.widened(&told(), &covariance()), covariance());
+        trust.learn(&told(), &covariance(), &told());
+        assert_eq!(trust.widened(&rest, &covariance()), covariance());
     }
 
     #[test]

@@ -115,15 +115,15 @@ impl Estimate {
         places.filter(|place| moves_apart(place, world_from_robot)).collect()
     }
 
-    /// The places where the scan fits the map within what the motion leaves open, with how seldom it goes so
-    /// far: the logarithm beside where it most likely went.
+    /// The places where the scan fits the map within what a motion's covariance `spread` leaves open, with how
+    /// seldom it goes so far: the logarithm beside where it most likely went.
     pub(in crate::mapping) fn within_reach(
         &self,
         arrival: &Arrival<'_>,
+        spread: &Matrix6<f64>,
     ) -> Vec<(Isometry3<f64>, f64)> {
         let before = self.last_pose();
         let predicted = before * arrival.motion;
-        let spread = arrival.motion_covariance;
         let level_m2 = spread[(0, 0)].max(spread[(1, 1)]);
         // Roll and pitch leave hardly anything of the motion's frame: over the ground it is a circle.
         let distance = |at: &Vector2<f64>, turn_rad: f64| {
