@@ -3,7 +3,7 @@
 use super::association::Assignment;
 use super::estimate::{Estimate, Prepared};
 use super::landmark::LandmarkId;
-use super::moved::Moved;
+use super::moved::{Gone, LOG_VANISHED, MOST_VANISHED};
 use super::perturbation::pose_error;
 use super::scan_errors::ScanObservations;
 use super::sight::Contradiction;
@@ -72,15 +72,19 @@ pub(super) struct Judged {
     pub(super) misplaced: usize,
     pub(super) far: bool,
     pub(super) carried: bool,
-    /// Landmarks that it recognises, and those of a thing that it says has moved.
+    /// Landmarks that it recognises, those of a thing that it says has moved and shows elsewhere, and all that it
+    /// says are not there any more.
     pub(super) known: Vec<LandmarkId>,
-    pub(super) gone: Vec<LandmarkId>,
+    pub(super) moved: Vec<LandmarkId>,
+    pub(super) gone: Gone,
 }
 
 impl Judged {
-    /// Whether nothing in the scan makes the motion appear worse than it was taken to be.
+    /// Whether nothing in the scan makes the motion appear worse than it was taken to be, nor is explained by a
+    /// thing that has vanished and is not seen elsewhere.
     pub(super) fn stands(&self) -> bool {
-        self.score >= 0.0 && self.refuted <= REFUTED_SHARE && self.misplaced == 0
+        let is_excused = self.gone.len() > self.moved.len();
+        self.score >= 0.0 && self.refuted <= REFUTED_SHARE && self.misplaced == 0 && !is_excused
     }
 
     /// Whether it is a place near the prediction that explains most of the scan.
@@ -103,7 +107,7 @@ pub(super) fn weigh(
 ) -> Vec<Judged> {
     let weigh = |claim: Claim| {
         let option = &options[claim.prepared];
-        let held_against = |gone: &[LandmarkId]| {
+        let held_against = |gone: &Gone| {
             let Claim { assignment, left_out, .. } = &claim;
             estimate.contradiction(scan, option, assignment, left_out, gone)
         };
@@ -112,19 +116,32 @@ pub(super) fn weigh(
             assignment.support + beside_pairs + log_prior + against.footing + against.doubled
                 - weight_of(against.share())
         };
-        let mut against = held_against(&[]);
-        let (mut best, mut gone) = (score(&against), Vec::new());
+        let mut gone = Gone::default();
+        let mut against = held_against(&gone);
+        let (mut best, mut support, mut moved) = (score(&against), 0.0, Vec::new());
         // Only where odometry is believed, if not to the letter: elsewhere whatever does not fit would have moved.
         let may_have_moved = measured && claim.log_prior >= LOG_SELDOM;
-        let moved =
+        let found =
             may_have_moved.then(|| estimate.moved(scan, option, &claim.assignment, &against.by));
-        if let Some(Moved { landmarks, log_there, support }) = moved.flatten() {
-            best += log_there;
-            let without = held_against(&landmarks);
-            let other = score(&without) + support;
+        if let Some(found) = found.flatten() {
+            best += found.log_there;
+            let all = Gone { landmarks: found.landmarks.clone(), openings: Vec::new() };
+            let without = held_against(&all);
+            let other = score(&without) + found.support;
             if other > best {
-                (against, best, gone) = (without, other, landmarks);
+                (against, best, support, gone) = (without, other, found.support, all);
+                moved = found.landmarks;
             }
+        }
+        for _ in 0..if may_have_moved { MOST_VANISHED } else { 0 } {
+            let thing = estimate.vanished(option, &claim.assignment, &against.by);
+            let all = gone.and(&thing);
+            let without = held_against(&all);
+            let other = score(&without) + support + LOG_VANISHED;
+            if thing.is_empty() || other <= best {
+                break;
+            }
+            (against, best, support, gone) = (without, other, support + LOG_VANISHED, all);
         }
         let Claim { prepared, assignment, far, carried, .. } = claim;
         Judged {
@@ -135,6 +152,7 @@ pub(super) fn weigh(
             far,
             carried,
             known: assignment.pairs.iter().map(|pair| option.landmark_of(pair.1)).collect(),
+            moved,
             gone,
             assignment,
         }
@@ -196,12 +214,12 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
 
 /// Takes its lead from a slip that nothing speaks for but a thing that may as well have moved.
 fn discount_things(judged: &mut [Judged]) {
-    let by_odometry = judged.iter().filter(|option| !option.gone.is_empty());
+    let by_odometry = judged.iter().filter(|option| !option.moved.is_empty());
     let Some(best) = by_odometry.max_by(|a, b| a.score.total_cmp(&b.score)) else { return };
-    let (known, gone, score) = (best.known.clone(), best.gone.clone(), best.score);
-    for option in judged.iter_mut().filter(|option| option.gone.is_empty()) {
+    let (known, moved, score) = (best.known.clone(), best.moved.clone(), best.score);
+    for option in judged.iter_mut().filter(|option| option.moved.is_empty()) {
         let mut more = option.known.iter().filter(|landmark| !known.contains(landmark)).peekable();
-        if more.peek().is_some() && more.all(|landmark| gone.contains(landmark)) {
+        if more.peek().is_some() && more.all(|landmark| moved.contains(landmark)) {
             option.score = option.score.min(score - UNPROVEN);
         }
     }

@@ -10,7 +10,9 @@ use super::claims::{
     weigh,
 };
 use super::estimate::{Arrival, Estimate, Prepared};
-use nalgebra::Isometry3;
+use super::moved::Gone;
+use super::odometry::unmeasured_motion;
+use nalgebra::{Isometry3, Matrix6};
 
 /// How much worse than told odometry may be before the scan is no longer believed: the motion's
 /// standard deviations are widened by this when a scan does not fit the map.
@@ -24,6 +26,8 @@ const WIDEST_M: f64 = 0.5;
 const FEW_PAIRS: usize = 3;
 /// The same for wheels that slip or stick for a moment.
 const LOG_SLIPPED: f64 = -9.0;
+/// The same for encoders that are dead: they tell of rest whatever the robot does.
+const LOG_DEAD: f64 = -9.0;
 /// The same for a motion that tells nothing: a robot lifted and set down elsewhere, wheels that ran free.
 const LOG_LOST: f64 = -14.0;
 /// Share of a scan's upright area below which it may have been made elsewhere altogether.
@@ -90,6 +94,11 @@ impl Doubts {
         self.few || self.large || self.displaced || self.lost || self.partial
     }
 
+    /// Whether it may be another place altogether: a thing that moves does not change most of what is seen.
+    fn of_place(self) -> bool {
+        self.few || self.lost || self.partial
+    }
+
     /// Pairs that another place must show; those that the map speaks against are no measure of it.
     fn least(self, stands: bool) -> usize {
         if self.few || stands { self.doubled() } else { FEW_PAIRS + 1 }
@@ -151,14 +160,21 @@ impl<'a> Fork<'a> {
             weighed.extend(wider);
         }
         // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
-        if self.level_m() > OPEN_M {
-            let within_reach = self.within_reach(&predicted);
+        let unmeasured = if self.level_m() > OPEN_M {
+            Some((arrival.motion_covariance, 0.0))
+        } else if arrival.is_at_rest() && doubts.of_place() {
+            weighed.extend(self.moved_unmeasured());
+            Some((unmeasured_motion(), LOG_DEAD))
+        } else {
+            None
+        };
+        if let Some((spread, log_prior)) = unmeasured {
+            let within_reach = self.within_reach(&predicted, &spread, log_prior);
             elsewhere |= !within_reach.is_empty();
             weighed.extend(within_reach);
         }
         if !elsewhere && (doubts.lost || !stands) {
-            let least = if doubts.lost { doubts.doubled() } else { doubts.least(stands) };
-            weighed.extend(self.carried(least, &guess));
+            weighed.extend(self.carried(doubts.doubled(), &guess));
         }
         let way = |explanation| Way { explanation, verdicts: None };
         judge(weighed, arrival.scan).into_iter().map(way).collect()
@@ -175,7 +191,8 @@ impl<'a> Fork<'a> {
             far: false,
             carried: false,
             known: Vec::new(),
-            gone: Vec::new(),
+            moved: Vec::new(),
+            gone: Gone::default(),
         };
         self.prepared.push(plain);
         Way { explanation, verdicts: Some(verdicts) }
@@ -245,10 +262,24 @@ impl<'a> Fork<'a> {
         found
     }
 
-    /// What fits within a motion that nobody measured.
-    fn within_reach(&mut self, predicted: &Isometry3<f64>) -> Vec<Judged> {
+    /// What odometry leads to where it tells of rest and is dead.
+    fn moved_unmeasured(&mut self) -> Vec<Judged> {
+        let arrival = Arrival { motion_covariance: unmeasured_motion(), ..*self.arrival };
+        let open = self.estimate.prepare(&arrival, self.config, 1.0);
+        let claims = self.claims(open, LOG_DEAD);
+        self.weigh(claims)
+    }
+
+    /// What fits within a motion that nobody measured, with the logarithm of how seldom that is.
+    fn within_reach(
+        &mut self,
+        predicted: &Isometry3<f64>,
+        spread: &Matrix6<f64>,
+        log_seldom: f64,
+    ) -> Vec<Judged> {
         let mut claims = Vec::new();
-        for (world_from_robot, log_prior) in self.estimate.within_reach(self.arrival) {
+        for (world_from_robot, log_prior) in self.estimate.within_reach(self.arrival, spread) {
+            let log_prior = log_prior + log_seldom;
             let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
             let (far_m, far_rad) = self.far();
             let far = moves_far(predicted, &world_from_robot, far_m, far_rad);

@@ -8,6 +8,22 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct LandmarkId(pub u32);
 
+/// A part of a surface that something was seen through later: a door that was shut.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Opening {
+    /// Its middle in the surface's own frame.
+    pub centre: Point2<f64>,
+    /// How far it reaches, in metres.
+    pub radius_m: f64,
+}
+
+impl Opening {
+    /// Whether it holds a point of the plane.
+    pub fn holds(&self, point: &Point2<f64>) -> bool {
+        (point - self.centre).norm() < self.radius_m
+    }
+}
+
 /// A planar patch of the map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Landmark {
@@ -34,6 +50,8 @@ pub struct Landmark {
     pub last_keyframe: usize,
     /// Whether it was of a thing that has moved since: nothing is there any more.
     pub gone: bool,
+    /// Where it is none any more at times: what is seen there or through there says nothing of it.
+    pub openings: Vec<Opening>,
 }
 
 impl Landmark {
@@ -56,6 +74,7 @@ impl Landmark {
             first_keyframe: keyframe,
             last_keyframe: keyframe,
             gone: false,
+            openings: Vec::new(),
         }
     }
 
@@ -73,6 +92,11 @@ impl Landmark {
     /// Origin of the local frame in the world.
     pub fn origin(&self) -> Point3<f64> {
         Point3::from(self.world_from_plane.translation.vector)
+    }
+
+    /// Whether cells around a point of its plane were all hit, and none of them has been seen open since.
+    pub fn is_solid_about(&self, point: &Point2<f64>, reach: i32) -> bool {
+        self.mask.solid_about(point, reach) && !self.openings.iter().any(|part| part.holds(point))
     }
 
     /// Area of the hull in m².

@@ -40,16 +40,20 @@ mod row_errors;
 mod scan_errors;
 mod shift;
 mod sight;
+mod vantage;
+mod wall;
 
 pub use association::AssociationConfig;
 pub use curved::{CurveKind, CurvedLandmark, CurvedObservation, curved_observations};
 pub use full::{Full, FullConfig};
 pub use graph::GraphConfig;
-pub use landmark::{Landmark, LandmarkId};
+pub use landmark::{Landmark, LandmarkId, Opening};
 pub use mask::{MASK_CELL_M, PlaneMask};
 pub use mip::{Mip, MipConfig};
 pub use observation::{Observation, observations};
-pub use odometry::{InertialNoise, Motion, MotionSource, OdometryNoise, tilted_increment};
+pub use odometry::{
+    InertialNoise, Motion, MotionSource, OdometryNoise, tilted_increment, unmeasured_motion,
+};
 pub use report::{
     Addition, Association, LEVER_M, MovedKeyframe, Refusal, RefusalReason, UpdateReport,
     WeakDirection, weak_directions,
@@ -200,7 +204,7 @@ impl Mapper {
             Engine::Full(full) => {
                 let before = full.world_from_robot();
                 let told = motion.before_from_after;
-                let widened = self.trust.widened(&covariance);
+                let widened = self.trust.widened(&told, &covariance);
                 let report = full.observe(&told, &widened, attitude, scan);
                 if is_fixed(&report) {
                     let found = before.inverse() * report.world_from_robot;
@@ -246,7 +250,10 @@ impl Mapper {
             &pose,
             &covariance,
             &self.motion.before_from_after,
-            &self.trust.widened(&self.config.odometry.covariance(&self.motion)),
+            &self.trust.widened(
+                &self.motion.before_from_after,
+                &self.config.odometry.covariance(&self.motion),
+            ),
         )
     }
 

@@ -6,11 +6,11 @@
 
 use super::association::{Assignment, MOST_PER_PAIR};
 use super::estimate::{Estimate, Prepared};
-use super::landmark::{Landmark, LandmarkId};
+use super::landmark::{Landmark, LandmarkId, Opening};
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 /// Greatest extent of a face, and of a thing, that moves, in metres.
 const LARGEST_M: f64 = 1.6;
@@ -29,6 +29,17 @@ const AREA_RATIO: f64 = 3.0;
 /// Logarithm of how seldom something has moved since it was last seen: oftener than wheels slip by as much.
 const LOG_MOVED: f64 = -6.0;
 
+/// Greatest extent of a face of a thing that was taken or swung away, and between the middles of its faces, in
+/// metres: a door's leaf. And most things that vanish from one scan to the next.
+const DOOR_M: f64 = 2.6;
+pub(super) const MOST_VANISHED: usize = 2;
+/// Logarithm of how seldom one does: as seldom as wheels slip.
+pub(super) const LOG_VANISHED: f64 = -9.0;
+/// Rise of a normal above which a surface is level: floors do not open.
+const UPRIGHT: f64 = 0.8;
+/// How far an opening goes on beyond what was seen through it, in metres.
+const RIM_M: f64 = 0.1;
+
 /// Points looked at of each observation, and how many of them behind a face, by so much and that much more per
 /// metre, that it is not there any more.
 const SAMPLES: usize = 40;
@@ -37,6 +48,42 @@ const BEHIND_M: f64 = 0.08;
 const BEHIND_PER_M: f64 = 0.015;
 /// Logarithm of how seldom that many are when it still is.
 const LOG_SEEN_THROUGH: f64 = -4.5;
+
+/// Landmarks that refute points of a scan, and where in their own planes.
+type Refuting = BTreeMap<LandmarkId, Vec<Point2<f64>>>;
+
+/// What is not there any more.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Gone {
+    /// Surfaces as a whole.
+    pub(super) landmarks: Vec<LandmarkId>,
+    /// Parts of others.
+    pub(super) openings: Vec<(LandmarkId, Opening)>,
+}
+
+impl Gone {
+    pub(super) fn is_empty(&self) -> bool {
+        self.landmarks.is_empty() && self.openings.is_empty()
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.landmarks.len() + self.openings.len()
+    }
+
+    /// Both.
+    pub(super) fn and(&self, other: &Self) -> Self {
+        let mut all = self.clone();
+        all.landmarks.extend(&other.landmarks);
+        all.openings.extend(&other.openings);
+        all
+    }
+
+    /// Those of one surface.
+    pub(super) fn openings_of(&self, landmark: LandmarkId) -> impl Iterator<Item = Opening> + '_ {
+        let of_it = self.openings.iter().filter(move |(of, _)| *of == landmark);
+        of_it.map(|&(_, opening)| opening)
+    }
+}
 
 /// A thing that has moved.
 pub(super) struct Moved {
@@ -57,7 +104,7 @@ impl Estimate {
         scan: &ScanObservations,
         prepared: &Prepared,
         assignment: &Assignment,
-        refute: &BTreeSet<LandmarkId>,
+        refute: &Refuting,
     ) -> Option<Moved> {
         let world_from_robot = assignment.belief.world_from_robot;
         let is_free = |index: &usize| assignment.pairs.iter().all(|(paired, _)| paired != index);
@@ -98,9 +145,49 @@ impl Estimate {
             };
             !landmarks.contains(id) && self.landmark(*id).is_some_and(of_thing)
         };
-        let before: Vec<LandmarkId> = refute.iter().copied().filter(was_it).collect();
+        let before: Vec<LandmarkId> = refute.keys().copied().filter(was_it).collect();
         landmarks.extend(before);
         Some(Moved { landmarks, log_there, support })
+    }
+
+    /// One thing that was swung or taken away if an assignment is right: what `refute`s most of what is seen, if
+    /// it is no larger than a door, with what is beside it, or that part of a wall.
+    pub(super) fn vanished(
+        &self,
+        prepared: &Prepared,
+        assignment: &Assignment,
+        refute: &Refuting,
+    ) -> Gone {
+        let most = refute.iter().max_by(|a, b| a.1.len().cmp(&b.1.len()).then(b.0.cmp(a.0)));
+        let Some((&id, places)) = most else { return Gone::default() };
+        let Some(landmark) = self.landmark(id) else { return Gone::default() };
+        let is_seen = |id: LandmarkId| {
+            assignment.pairs.iter().any(|&(_, plane)| prepared.landmark_of(plane) == id)
+        };
+        let is_small =
+            |face: &Landmark| face.area_m2() < LARGEST_M2 && extent_m(&face.hull) < DOOR_M;
+        if is_small(landmark) && !is_seen(id) {
+            let at = landmark.origin();
+            let is_of_it = |face: &&Landmark| {
+                is_small(face) && !is_seen(face.id) && (face.origin() - at).norm() < DOOR_M
+            };
+            let faces = refute.keys().filter_map(|&id| self.landmark(id)).filter(is_of_it);
+            return Gone { landmarks: faces.map(|face| face.id).collect(), openings: Vec::new() };
+        }
+        if landmark.normal().z.abs() > UPRIGHT {
+            return Gone::default();
+        }
+        // Some of the places may be the edge of another opening.
+        let middle = |axis: usize| {
+            let mut along: Vec<f64> = places.iter().map(|at| at[axis]).collect();
+            along.sort_unstable_by(f64::total_cmp);
+            along[along.len() / 2]
+        };
+        let centre = Point2::new(middle(0), middle(1));
+        let away_m = places.iter().map(|at| (at - centre).norm()).filter(|&m| m < 0.5 * DOOR_M);
+        let radius_m = away_m.fold(0.0, f64::max) + RIM_M;
+        let openings = vec![(id, Opening { centre, radius_m })];
+        Gone { landmarks: Vec::new(), openings }
     }
 
     /// The shortest way that a face of the map may have gone to be the one that was seen.

@@ -4,22 +4,18 @@
 
 use super::association::Assignment;
 use super::estimate::{Estimate, Prepared};
-use super::landmark::{Landmark, LandmarkId};
+use super::landmark::LandmarkId;
+use super::mask::PlaneMask;
+use super::moved::Gone;
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
-use nalgebra::{Isometry3, Matrix3, Matrix6, Point3, Vector3, Vector6};
-use std::collections::BTreeSet;
+use super::wall::{DOUBLED_M, SIGMAS, Wall};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point2, Point3, Vector3, Vector6};
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Most points of one observation that are looked at.
 const SAMPLES_PER_PLANE: usize = 40;
-/// A point this far behind a landmark, and this much more per metre of range, was seen through it:
-/// what a pose is wrong by must not count. The first is for a pose that is known, to which its
-/// standard deviations add; the second is the most that they may make of it.
-const KNOWN_BEHIND_M: f64 = 0.05;
-const SIGMAS: f64 = 3.0;
-const BEHIND_M: f64 = 0.15;
-const BEHIND_PER_M: f64 = 0.015;
 /// What parallel surfaces may be apart by and yet be one, beside what the pair leaves open: no floor is even.
 const EVEN_M: f64 = 0.02;
 /// Standard deviation of a wheel's height above the surface that it stands on: a tyre, a carpet, the
@@ -28,15 +24,6 @@ const WHEEL_SIGMA_M: f64 = 0.02;
 /// How often a wheel over a mapped floor does not stand on it: on a plank that no scan has shown, or in
 /// the air at an edge.
 const OFF_THE_FLOOR: f64 = 0.01;
-/// A surface up to this far before a parallel one cannot be: that one was seen, square on, where it
-/// would be hidden.
-const DOUBLED_M: f64 = 0.6;
-const PARALLEL_COSINE: f64 = 0.99;
-/// Cells around the crossing in each axis that must all have been hit: edges of doorways shift with
-/// the pose.
-const SOLID_CELLS: i32 = 2;
-/// Sine of the angle to the surface below which a ray grazes it and says nothing.
-const GRAZING_SINE: f64 = 0.15;
 
 /// How a scan and the map contradict each other under a pose.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -54,8 +41,8 @@ pub(super) struct Contradiction {
     /// Observations that are not recognised and lie for the most part where they cannot be: a wall before or
     /// behind itself is one that was seen from elsewhere, however well the rest fits.
     pub(super) misplaced: usize,
-    /// Landmarks that refute points, in order.
-    pub(super) by: BTreeSet<LandmarkId>,
+    /// Landmarks that refute points, in order, and where in their own planes.
+    pub(super) by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
 }
 
 impl Contradiction {
@@ -74,7 +61,7 @@ impl Estimate {
     /// over cells of it that were hit they cannot be anything else: two surfaces that close were not
     /// both seen square on. What the pose is uncertain by does not excuse that: it is the very question.
     ///
-    /// What `moved` names is where it was no longer, and contradicts nothing.
+    /// What is `gone` is where it was no longer, and contradicts nothing.
     ///
     /// Costs samples × landmarks about the scan; asked only where an association is in doubt.
     pub(super) fn contradiction(
@@ -83,7 +70,7 @@ impl Estimate {
         prepared: &Prepared,
         assignment: &Assignment,
         left_out: &[(usize, LandmarkId)],
-        moved: &[LandmarkId],
+        gone: &Gone,
     ) -> Contradiction {
         let belief = &assignment.belief;
         let world_from_robot = &belief.world_from_robot;
@@ -91,7 +78,10 @@ impl Estimate {
         let hulls = scan.observations.iter().flat_map(Observation::hull_points);
         let around = hulls.chain(scan.contacts.iter().copied());
         let mut walls = self.walls(scan, prepared, assignment, around);
-        walls.retain(|wall| !moved.contains(&wall.landmark.id));
+        walls.retain(|wall| !gone.landmarks.contains(&wall.landmark.id));
+        for wall in &mut walls {
+            wall.openings.extend(gone.openings_of(wall.landmark.id));
+        }
         let mut found = Contradiction {
             footing: footing(&walls, world_from_robot, &covariance, &scan.contacts),
             ..Contradiction::default()
@@ -106,7 +96,9 @@ impl Estimate {
             }
             let is_free = assignment.pairs.iter().all(|pair| pair.0 != index);
             found.misplaced += usize::from(is_free && held.is_misplaced());
-            found.by.extend(held.by);
+            for (landmark, places) in held.by {
+                found.by.entry(landmark).or_default().extend(places);
+            }
         }
         found
     }
@@ -149,7 +141,7 @@ impl Estimate {
             .filter_map(|(landmark, _)| {
                 let plane = prepared.plane_of(landmark.id);
                 let frame = plane.map_or(landmark.world_from_plane, |plane| belief.planes[plane]);
-                Wall::facing(landmark, plane, frame, &eye, &covariance)
+                Wall::facing(self, landmark, plane, frame, &eye, &covariance)
             })
             .collect()
     }
@@ -162,8 +154,8 @@ struct Held {
     /// See [`Refutation::Sure`] and [`Refutation::Tight`].
     refuted: usize,
     doubled: usize,
-    /// Landmarks that are sure to refute points.
-    by: BTreeSet<LandmarkId>,
+    /// Landmarks that are sure to refute points, and where in their own planes.
+    by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
 }
 
 impl Held {
@@ -183,11 +175,11 @@ fn held_against(
 ) -> Held {
     let observation = &scan.observations[index];
     let world_from_plane = assignment.belief.world_from_robot * observation.robot_from_plane;
-    let against: Vec<Against<'_>> = walls
+    let against: Vec<Against<'_, '_>> = walls
         .iter()
         .map(|wall| {
             let denied = denied(wall.landmark.id);
-            Against::new(wall, &world_from_plane, denied, |plane| {
+            Against::new(wall, &observation.mask, &world_from_plane, denied, |plane| {
                 prepared.gap(scan, assignment, index, plane)
             })
         })
@@ -202,10 +194,10 @@ fn held_against(
         held.samples += 1;
         let mut most = Refutation::None;
         for wall in &against {
-            let verdict = wall.verdict(&point);
+            let (verdict, at) = wall.verdict(&point);
             most = most.max(verdict);
             if verdict == Refutation::Sure {
-                held.by.insert(wall.wall.landmark.id);
+                held.by.entry(wall.wall.landmark.id).or_default().push(at);
             }
         }
         match most {
@@ -228,8 +220,8 @@ enum Refutation {
 }
 
 /// A landmark that an observation is held against.
-struct Against<'a> {
-    wall: &'a Wall<'a>,
+struct Against<'a, 'w> {
+    wall: &'a Wall<'w>,
     /// Whether both face the same way.
     parallel: bool,
     denied: bool,
@@ -237,11 +229,15 @@ struct Against<'a> {
     /// the two, where they are parallel and that is known.
     centre: Point3<f64>,
     gap: Option<Matrix3<f64>>,
+    /// Cells of the observation, and its frame in the landmark's.
+    mask: &'a PlaneMask,
+    observed_from_wall: Isometry3<f64>,
 }
 
-impl<'a> Against<'a> {
+impl<'a, 'w> Against<'a, 'w> {
     fn new(
-        wall: &'a Wall<'a>,
+        wall: &'a Wall<'w>,
+        mask: &'a PlaneMask,
         world_from_plane: &Isometry3<f64>,
         denied: bool,
         gap: impl FnOnce(usize) -> Matrix3<f64>,
@@ -249,27 +245,31 @@ impl<'a> Against<'a> {
         let parallel = wall.is_parallel(&(world_from_plane.rotation * Vector3::z()));
         let centre = wall.plane_from_world * Point3::from(world_from_plane.translation.vector);
         let gap = wall.plane.filter(|_| parallel).map(gap);
-        Self { wall, parallel, denied, centre, gap }
+        let observed_from_wall = (wall.plane_from_world * world_from_plane).inverse();
+        Self { wall, parallel, denied, centre, gap, mask, observed_from_wall }
     }
 
-    /// Whether a point of the observation, in the world, cannot be where it is.
-    fn verdict(&self, point: &Point3<f64>) -> Refutation {
+    /// Whether a point of the observation, in the world, cannot be where it is, and where the landmark is in
+    /// the way, in its own plane.
+    fn verdict(&self, point: &Point3<f64>) -> (Refutation, Point2<f64>) {
         let target = self.wall.plane_from_world * point;
         // Most points lie well before most surfaces: no margin would change that.
         if target.z >= DOUBLED_M || (target.z > 0.0 && !self.parallel) {
-            return Refutation::None;
+            return (Refutation::None, target.xy());
         }
-        let refutes = |margin_m| self.wall.refutes(&target, self.parallel, margin_m);
+        let is_there =
+            |crossing: &Point3<f64>| self.mask.contains(&(self.observed_from_wall * crossing).xy());
+        let would_hide = |at: &Point2<f64>, before_m: f64| {
+            self.parallel && self.wall.was_seen_past(at, before_m, is_there)
+        };
+        let refuted_at = |margin_m| self.wall.refuted_at(&target, margin_m, would_hide);
         let ray_m = self.wall.ray_margin_m(&target);
-        if refutes(if self.denied { 0.0 } else { ray_m }) {
-            Refutation::Sure
-        } else if !self.denied
-            && self.gap.is_some_and(|gap| refutes(self.gap_margin_m(&gap, &target, ray_m)))
-        {
-            Refutation::Tight
-        } else {
-            Refutation::None
+        if let Some(at) = refuted_at(if self.denied { 0.0 } else { ray_m }) {
+            return (Refutation::Sure, at);
         }
+        let gap = self.gap.filter(|_| !self.denied);
+        let tight = gap.and_then(|gap| refuted_at(self.gap_margin_m(&gap, &target, ray_m)));
+        tight.map_or((Refutation::None, target.xy()), |at| (Refutation::Tight, at))
     }
 
     /// How far a point may lie off the landmark and yet be on it: between parallel surfaces that is known
@@ -303,7 +303,9 @@ fn footing(
         let Some((height_m, wall)) = nearest else {
             let hidden = walls.iter().any(|wall| {
                 let target = wall.plane_from_world * point;
-                wall.refutes(&target, wall.is_parallel(&up), wall.ray_margin_m(&target))
+                let margin_m = wall.ray_margin_m(&target);
+                // Wheels hide the floor that they stand on.
+                wall.refuted_at(&target, margin_m, |_, _| wall.is_parallel(&up)).is_some()
             });
             return if hidden { OFF_THE_FLOOR.ln() } else { 0.0 };
         };
@@ -317,87 +319,17 @@ fn footing(
     logs.sum::<f64>() / contacts.len().max(1) as f64
 }
 
-/// A landmark as seen from a point in front of it.
-struct Wall<'a> {
-    landmark: &'a Landmark,
-    /// Its place among the planes of the belief, where it is one of them.
-    plane: Option<usize>,
-    normal: Vector3<f64>,
-    plane_from_world: Isometry3<f64>,
-    eye: Point3<f64>,
-    /// Standard deviation of the robot's position along the normal.
-    sigma_m: f64,
-}
-
-impl<'a> Wall<'a> {
-    fn facing(
-        landmark: &'a Landmark,
-        plane: Option<usize>,
-        world_from_plane: Isometry3<f64>,
-        eye: &Point3<f64>,
-        position_covariance: &Matrix3<f64>,
-    ) -> Option<Self> {
-        let normal = world_from_plane.rotation * Vector3::z();
-        let sigma_m = normal.dot(&(position_covariance * normal)).max(0.0).sqrt();
-        let plane_from_world = world_from_plane.inverse();
-        let eye = plane_from_world * eye;
-        (eye.z > BEHIND_M && !landmark.mask.is_empty()).then_some(Self {
-            landmark,
-            plane,
-            normal,
-            plane_from_world,
-            eye,
-            sigma_m,
-        })
-    }
-
-    /// Whether a surface with that normal, in the world, is parallel and faces the same way.
-    fn is_parallel(&self, normal: &Vector3<f64>) -> bool {
-        self.normal.dot(normal) > PARALLEL_COSINE
-    }
-
-    /// Whether a point, in the landmark's frame, of a surface that is parallel to it or not cannot be there:
-    /// it is more than the margin behind the landmark, seen from the eye, or before it.
-    fn refutes(&self, target: &Point3<f64>, parallel: bool, margin_m: f64) -> bool {
-        if target.z > margin_m && target.z < DOUBLED_M {
-            return parallel && self.solid_at(target);
-        }
-        let ray = target - self.eye;
-        if target.z > -margin_m || -ray.z < GRAZING_SINE * ray.norm() {
-            return false;
-        }
-        self.solid_at(&(self.eye + ray * (self.eye.z / -ray.z)))
-    }
-
-    /// How far a point in the landmark's frame may lie behind the landmark and yet be on it.
-    fn ray_margin_m(&self, target: &Point3<f64>) -> f64 {
-        let range_m = (target - self.eye).norm();
-        (KNOWN_BEHIND_M + SIGMAS * self.sigma_m).min(BEHIND_M) + BEHIND_PER_M * range_m
-    }
-
-    /// Height of a point above the landmark where that is a floor to a robot whose z is `up`, with the
-    /// landmark itself; below it, the floor is where the sensor would see the point through it.
-    fn height_of(&self, point: &Point3<f64>, up: &Vector3<f64>) -> Option<(f64, &Self)> {
-        let target = self.plane_from_world * point;
-        if target.z.abs() > DOUBLED_M || !self.is_parallel(up) {
-            return None;
-        }
-        let ray = target - self.eye;
-        let at = if target.z < 0.0 { self.eye + ray * (self.eye.z / -ray.z) } else { target };
-        self.solid_at(&at).then_some((target.z, self))
-    }
-
-    fn solid_at(&self, point: &Point3<f64>) -> bool {
-        self.landmark.mask.solid_about(&point.xy(), SOLID_CELLS)
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::graph::GraphConfig;
     use super::super::landmark::Landmark;
-    use super::super::mask::PlaneMask;
+    use super::super::vantage::Vantage;
     use super::*;
-    use nalgebra::Point2;
+    use std::cell::OnceCell;
+
+    fn empty() -> Estimate {
+        Estimate::new(GraphConfig::default(), Isometry3::identity(), &Matrix6::zeros())
+    }
 
     fn floor() -> Landmark {
         let mut mask = PlaneMask::default();
@@ -423,7 +355,9 @@ mod tests {
         let floor = floor();
         let covariance = Matrix6::identity() * (sigma_m * sigma_m);
         let position = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let estimate = empty();
         let wall = Wall::facing(
+            &estimate,
             &floor,
             None,
             Isometry3::identity(),
@@ -459,13 +393,17 @@ mod tests {
         let floor = floor();
         let position = Matrix3::identity() * 1e-6;
         let eye = Point3::new(0.0, 0.0, 0.6);
-        let wall = Wall::facing(&floor, Some(0), Isometry3::identity(), &eye, &position);
-        let wall = wall.expect("the eye is above");
+        let estimate = empty();
+        let wall = Wall::facing(&estimate, &floor, Some(0), Isometry3::identity(), &eye, &position);
+        let mut wall = wall.expect("the eye is above");
+        let observed_from_plane = Isometry3::identity();
+        wall.vantages =
+            OnceCell::from(vec![Vantage { eye, seen: &floor.mask, observed_from_plane }]);
         let over = Isometry3::translation(0.5, 0.5, 0.05);
         let verdict = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64| {
             let sigmas = Vector3::new(sigma_m, sigma_rad, sigma_rad);
             let gap = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
-            Against::new(&wall, &over, false, |_| gap).verdict(&point)
+            Against::new(&wall, &floor.mask, &over, false, |_| gap).verdict(&point).0
         };
         let point = Point3::new(1.0, -1.0, 0.05);
         // What the ray's length leaves open is more.

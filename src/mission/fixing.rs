@@ -133,6 +133,7 @@ mod tests {
             first_keyframe: 0,
             last_keyframe: 0,
             gone: false,
+            openings: Vec::new(),
         }
     }
 

@@ -10,6 +10,7 @@ mod long_run;
 mod movers;
 mod real_scan;
 mod recognition;
+mod shelves;
 mod situations;
 mod slips;
 mod world;

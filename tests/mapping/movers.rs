@@ -60,3 +60,95 @@ fn what_has_moved_is_no_part_of_the_map_any_more() {
     };
     assert!(!at(2.0) && at(2.5));
 }
+
+/// Four rooms in a row, alike but for a table in each, with open doors between them.
+fn rooms() -> World {
+    let mut world = World::default();
+    world.room((0.0, 16.0), (-2.5, 2.5), 2.6);
+    for x in [4.0, 8.0, 12.0] {
+        for y in [-1.475, 1.475] {
+            world.block((x, y), (0.12, 2.05, 2.6), 0.0);
+        }
+        world.wall((x - 0.06, 0.45), (x - 0.06, -0.45), 2.05, 2.6);
+        world.wall((x + 0.06, -0.45), (x + 0.06, 0.45), 2.05, 2.6);
+    }
+    for (x, y, length) in [(1.0, 1.9, 0.8), (6.6, -1.8, 1.2), (9.8, 1.6, 0.6), (15.0, -2.0, 1.0)] {
+        world.block((x, y), (length, 0.6, 0.75), 0.1 * x);
+    }
+    world
+}
+
+/// How far off the robot ends that drives through worlds by odometry that is right to some millimetres.
+fn through(worlds: &[(World, Isometry3<f64>)], seed: u64) -> f64 {
+    let mut drive = Drive::begin(&worlds[0].0, MapperConfig::default(), worlds[0].1, seed);
+    for (world, target) in &worlds[1..] {
+        drive.world = world;
+        drive.steer_to(*target, &OdometryNoise::default());
+    }
+    drive.error().0
+}
+
+/// What a crate hid is no reason to take the robot for carried into the room before.
+#[test]
+fn a_crate_that_is_taken_away_leaves_the_robot_in_its_room() {
+    let seen = |scan: usize| {
+        let mut world = rooms();
+        if (14..20).contains(&scan) {
+            let pushed = scan as f64 - 14.0;
+            world.block((11.2 - 0.35 * pushed, 0.3 - 0.1 * pushed), (0.9, 0.9, 1.5), 0.2 * pushed);
+        }
+        (world, step(0.8 + 0.4 * scan as f64, 0.0, 4.0 * (scan % 3) as f64))
+    };
+    let worlds: Vec<_> = (0..31).map(seen).collect();
+    for seed in 0..3 {
+        let off_m = through(&worlds, seed);
+        assert!(off_m < 0.02, "{seed}: {off_m} m");
+    }
+}
+
+/// Nor is a door's leaf, through which the next room is seen once it has swung open.
+#[test]
+fn doors_that_swing_open_leave_the_robot_in_its_room() {
+    let seen = |door: usize, angle_deg: f64, x: f64| {
+        let mut world = rooms();
+        for other in 1..4 {
+            let degrees = match other.cmp(&door) {
+                std::cmp::Ordering::Less => 100.0,
+                std::cmp::Ordering::Equal => angle_deg,
+                std::cmp::Ordering::Greater => 0.0,
+            };
+            let (sin, cos) = f64::to_radians(degrees).sin_cos();
+            let hinge = (4.0 * other as f64 - 0.1, -0.45);
+            world.block(
+                (hinge.0 - 0.45 * sin, hinge.1 + 0.45 * cos),
+                (0.04, 0.9, 2.0),
+                degrees.to_radians(),
+            );
+        }
+        (world, step(4.0 * door as f64 + x, 0.05, 0.0))
+    };
+    let mut worlds = Vec::new();
+    for door in 1..4 {
+        worlds.extend((0..4).map(|k| seen(door, 0.0, -3.2 + 0.4 * f64::from(k))));
+        worlds.extend([0.0, 35.0, 70.0, 100.0].map(|degrees| seen(door, degrees, -1.7)));
+        worlds.extend((0..5).map(|k| seen(door, 100.0, -1.3 + 0.4 * f64::from(k))));
+    }
+    for seed in 0..3 {
+        let off_m = through(&worlds, seed);
+        assert!(off_m < 0.05, "{seed}: {off_m} m");
+    }
+}
+
+/// Encoders that are dead tell of rest whatever the robot does.
+#[test]
+fn odometry_that_always_tells_of_rest_is_found_out() {
+    let world = rooms();
+    let mut drive = Drive::begin(&world, MapperConfig::default(), step(0.8, 0.0, 0.0), 5);
+    for turn_deg in [8.0, -12.0, 4.0, -10.0, 16.0, -6.0, 0.0, 10.0, -10.0] {
+        let moved = Vector6::new(0.7, 0.0, 0.0, 0.0, 0.0, f64::to_radians(turn_deg));
+        drive.slide(&Isometry3::identity(), &moved);
+        drive.look();
+        let off_m = drive.error().0;
+        assert!(off_m < 0.05, "at {}: {off_m} m", drive.truth.translation);
+    }
+}

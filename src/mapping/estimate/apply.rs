@@ -11,7 +11,7 @@ use crate::mapping::observation::Observation;
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{perturbed_pose, pose_error};
 use crate::mapping::report::{Addition, Association, RefusalReason, UpdateReport};
-use nalgebra::{Isometry3, Matrix3x4, Matrix6, Vector6};
+use nalgebra::{Isometry3, Matrix3x4, Matrix6, Point3, Vector6};
 use std::sync::Arc;
 
 /// Most planes that one scan may bring in, the largest first: all of a scan's planes are tied to one
@@ -155,6 +155,7 @@ impl Estimate {
             told: guess,
             sightings: Vec::new(),
             curves: Vec::new(),
+            robot_from_eye: Point3::from(arrival.scan.robot_from_scan.translation.vector),
             led: Led::by(&covariance),
         });
     }

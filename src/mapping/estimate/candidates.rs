@@ -216,6 +216,7 @@ mod tests {
             told,
             sightings: Vec::new(),
             curves: Vec::new(),
+            robot_from_eye: Point3::origin(),
             led,
         }
     }

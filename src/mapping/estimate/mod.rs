@@ -16,10 +16,11 @@ use super::graph::{FactorId, Graph, GraphConfig, Key, positive};
 use super::index::SpatialIndex;
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
+use super::odometry::is_nothing;
 use super::perturbation::{first_jacobian, second_jacobian, symmetric};
 use super::scan_errors::ScanObservations;
 use candidates::Led;
-use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point2, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point2, Point3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -44,6 +45,13 @@ pub(super) struct Arrival<'a> {
     pub(super) motion_covariance: Matrix6<f64>,
     pub(super) attitude: Option<Attitude>,
     pub(super) scan: &'a ScanObservations,
+}
+
+impl Arrival<'_> {
+    /// Whether the robot is said to have stood still.
+    pub(super) fn is_at_rest(&self) -> bool {
+        is_nothing(&self.motion)
+    }
 }
 
 /// A scan compared with the map, before anything is decided for good.
@@ -78,6 +86,14 @@ struct Sighting {
     drawn: Option<Isometry3<f64>>,
 }
 
+/// A sighting as it lies in its landmark.
+pub(super) struct Drawn<'a> {
+    pub(super) observation: &'a Observation,
+    pub(super) plane_from_observed: Isometry3<f64>,
+    /// Where the sensor was on the robot.
+    pub(super) robot_from_eye: Point3<f64>,
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Keyframe {
     pose: Key,
@@ -88,6 +104,8 @@ struct Keyframe {
     sightings: Vec<Sighting>,
     /// Cylinders and spheres that its scan shows.
     curves: Vec<CurveSighting>,
+    /// Where the sensor was on the robot.
+    robot_from_eye: Point3<f64>,
     /// What the motion to it may be off by.
     led: Led,
 }
@@ -218,6 +236,20 @@ impl Estimate {
         rows.fixed_view_mut::<6, 6>(0, 6).copy_from(&into_first);
         let joint = nalgebra::SMatrix::<f64, 12, 12>::from_column_slice(joint.as_slice());
         Some(symmetric(&(rows * joint * rows.transpose())))
+    }
+
+    /// The sightings of a landmark that are drawn into it, newest first.
+    pub(super) fn sightings_of(&self, landmark: LandmarkId) -> impl Iterator<Item = Drawn<'_>> {
+        let found = self.roots.get(&landmark).map(|roots| &roots.sightings);
+        found.into_iter().flatten().rev().filter_map(|&(number, index)| {
+            let keyframe = &self.keyframes[number];
+            let sighting = keyframe.sightings.iter().find(|s| s.index == index)?;
+            Some(Drawn {
+                observation: &sighting.observation,
+                plane_from_observed: sighting.drawn?,
+                robot_from_eye: keyframe.robot_from_eye,
+            })
+        })
     }
 
     /// What the planes of a scan were taken for: landmark and observation of each.

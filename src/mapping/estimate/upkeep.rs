@@ -6,6 +6,7 @@ use crate::mapping::graph::Key;
 use crate::mapping::index::Bounds;
 use crate::mapping::innovation::Innovation;
 use crate::mapping::landmark::LandmarkId;
+use crate::mapping::moved::Gone;
 use crate::mapping::perturbation::pose_error;
 use crate::mapping::report::{MovedKeyframe, UpdateReport, weak_directions};
 use crate::mapping::scan_errors::ScanObservations;
@@ -158,12 +159,18 @@ impl Estimate {
         }
     }
 
-    /// Takes landmarks for gone: they are neither looked for nor does anything contradict them.
-    pub(in crate::mapping) fn let_go(&mut self, gone: &[LandmarkId]) {
-        for &id in gone {
+    /// Takes landmarks for gone, which are neither looked for nor does anything contradict them, and parts of
+    /// others for open.
+    pub(in crate::mapping) fn let_go(&mut self, gone: &Gone) {
+        for &id in &gone.landmarks {
             if let Some(slot) = self.slot(id) {
                 self.landmarks[slot].gone = true;
                 self.index.remove(id.0);
+            }
+        }
+        for &(id, opening) in &gone.openings {
+            if let Some(slot) = self.slot(id) {
+                self.landmarks[slot].openings.push(opening);
             }
         }
     }
