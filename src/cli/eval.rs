@@ -5,11 +5,11 @@ use super::say;
 use crate::driver::simulated::passability;
 use crate::export::coverage::Passability;
 use crate::export::evaluate::{Evaluation, RunFiles, evaluate};
-use crate::export::tum;
+use crate::export::tum::{self, TimedPose};
 use crate::files::run;
 use crate::files::world::{WorldFiles, built_in_names, load_world};
 use crate::terrain::RobotShape;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -98,16 +98,27 @@ fn score(folder: &Path, arguments: &EvalArguments) -> Result<Evaluation> {
             folder.display()
         ));
     }
-    warn_of_other_times(folder, &files);
+    check_times(folder, &files)?;
     let limits = world.as_ref().map(limits).transpose()?;
     Ok(evaluate(&files, world.as_ref().map(|world| &world.world).zip(limits.as_ref())))
 }
 
 /// Says that the truth does not end where the trajectory does: beyond its end its last pose holds.
-fn warn_of_other_times(folder: &Path, files: &RunFiles) {
+///
+/// # Errors
+///
+/// Times that have nothing in common.
+fn check_times(folder: &Path, files: &RunFiles) -> Result<()> {
     const APART_S: f64 = 1.0;
-    let ends = files.trajectory.last().zip(files.truth.last());
-    let Some((own_s, true_s)) = ends.map(|(own, truth)| (own.time_s, truth.time_s)) else { return };
+    let span = |poses: &[TimedPose]| Some((poses.first()?.time_s, poses.last()?.time_s));
+    let spans = span(&files.trajectory).zip(span(&files.truth));
+    let Some(((own_first_s, own_s), (true_first_s, true_s))) = spans else { return Ok(()) };
+    ensure!(
+        own_first_s <= true_s && true_first_s <= own_s,
+        "{}: the trajectory is of {own_first_s} to {own_s} s, the truth of {true_first_s} to {true_s} s: \
+         they have no time in common",
+        folder.display()
+    );
     if (own_s - true_s).abs() >= APART_S {
         say::warn(format_args!(
             "{}: the trajectory ends at {own_s} s, the truth at {true_s} s: what one of them lacks is held \
@@ -115,6 +126,7 @@ fn warn_of_other_times(folder: &Path, files: &RunFiles) {
             folder.display()
         ));
     }
+    Ok(())
 }
 
 /// The world of a scenario in the program.

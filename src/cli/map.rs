@@ -328,7 +328,13 @@ fn write_outputs(
         .collect();
     write("trajectory.tum", tum::format(&trajectory).as_bytes())?;
     if let Some(truth) = truth {
-        write("truth.tum", tum::format(truth).as_bytes())?;
+        // Line k is of scan k, whatever clock its times are of.
+        let truth: Vec<TimedPose> = truth
+            .iter()
+            .zip(steps)
+            .map(|(of, step)| TimedPose { time_s: step.time_s, ..*of })
+            .collect();
+        write("truth.tum", tum::format(&truth).as_bytes())?;
     }
     write("planes.ply", ply::format(&surface_polygons(mapper)).as_bytes())?;
     let surfaces = json!({ "surfaces": surfaces_json(mapper) });

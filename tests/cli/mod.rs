@@ -478,6 +478,20 @@ fn what_map_writes_is_scored_and_what_is_missing_is_named() {
     let (_, said) = eval(&["--truth", text(&other)]);
     assert!(said.contains("ends at 2 s, the truth at 1 s"), "{said}");
 
+    // Of another clock: line by line for `usar map`, which knows of nothing else, and none for `usar eval`.
+    let later: String =
+        (0..3).map(|k| format!("{} {} 0 0 0 0 0 1\n", 1000 + k, 0.3 * f64::from(k))).collect();
+    fs::write(&other, later).unwrap();
+    fails_with(
+        &["eval", text(&out), "--truth", text(&other)],
+        &["of 0 to 2 s", "of 1000 to 1002 s", "no time in common"],
+    );
+    let scans = ["map", text(&a), text(&b), text(&c), "--odometry", text(&odometry)];
+    let rest = ["--truth", text(&other), "--out", text(&out)];
+    assert!(usar(&[&scans[..], &rest].concat()).status.success());
+    let (score, _) = eval(&[]);
+    assert!(score["ate"]["final_m"].as_f64().unwrap() < 0.005, "{score}");
+
     let backwards = path("backwards.tum");
     fs::write(&backwards, "0 0 0 0 0 0 0 1\n5 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n").unwrap();
     let scans = ["map", text(&a), text(&b), text(&c)];
