@@ -232,6 +232,25 @@ mod tests {
         assert_eq!((places.rooms.len(), places.doorways.len()), (1, 0), "{places:?}");
     }
 
+    /// Who drives through sees the far half of each room: corners of two walls, none of them long.
+    #[test]
+    fn rooms_that_are_seen_ahead_only_have_their_doorways() {
+        let rows = [
+            "     ####     ####",
+            "     ...#     ...#",
+            " .......# .......#",
+            " .......# .......#",
+            "..................",
+            "..................",
+            " .......# .......#",
+            " .......# .......#",
+            "     ...#     ...#",
+            "     ####     ####",
+        ];
+        let places = Places::default().renewed(&plan(&rows));
+        assert_eq!((places.rooms.len(), places.doorways.len()), (2, 1), "{places:?}");
+    }
+
     #[test]
     fn an_office_has_a_corridor_and_its_rooms_and_their_doors() {
         // A corridor of 1.5 m with two rooms above and three below, and a locker that stands in it.

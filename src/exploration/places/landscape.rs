@@ -6,8 +6,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Widest passage that counts as a doorway, in metres: a double door.
 const WIDEST_DOORWAY_M: f64 = 1.8;
-/// Obstacles that extend less than this are furniture.
+/// Obstacles that extend less than this along each axis, and less than the second along both together, are
+/// furniture: the corner of two walls that are half seen is none.
 const FURNITURE_M: f64 = 2.5;
+const CORNER_M: f64 = 3.6;
 /// Width of the widest place of a room, at least: what is narrower is a gap beside one.
 const NARROWEST_ROOM_M: f64 = 0.9;
 /// A doorway is narrower than this share of the widest place of the rooms on both sides. A door of 0.9 m
@@ -113,7 +115,8 @@ impl<'a> Ground<'a> {
 
     /// What stands free and is short bounds no room: columns, benches, people.
     fn forget_furniture(&mut self) {
-        let reach = (FURNITURE_M / self.grid.cell_m()) as i32;
+        let cells_of = |metres: f64| (metres / self.grid.cell_m()) as i32;
+        let (reach, corner) = (cells_of(FURNITURE_M), cells_of(CORNER_M));
         let mut seen = vec![false; self.clear.len()];
         for start in 0..self.clear.len() {
             if seen[start] || self.clear[start] > 0 {
@@ -136,7 +139,8 @@ impl<'a> Ground<'a> {
                 let (low, high) = (cells.iter().map(of).min(), cells.iter().map(of).max());
                 high.unwrap_or(0) - low.unwrap_or(0)
             };
-            if span(|cell| cell.x).max(span(|cell| cell.y)) < reach {
+            let (along_x, along_y) = (span(|cell| cell.x), span(|cell| cell.y));
+            if along_x.max(along_y) < reach && along_x + along_y < corner {
                 for index in piece {
                     self.clear[index] = u32::MAX;
                 }
