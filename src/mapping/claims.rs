@@ -66,8 +66,9 @@ pub(super) struct Judged {
     pub(super) prepared: usize,
     pub(super) assignment: Assignment,
     pub(super) score: f64,
-    /// Share of the scan's points that contradict the map.
+    /// Share of the scan's points that contradict the map, and what it was with all that is said to be gone.
     pub(super) refuted: f64,
+    pub(super) denied: f64,
     /// See [`Contradiction::misplaced`](super::sight::Contradiction::misplaced).
     pub(super) misplaced: usize,
     pub(super) far: bool,
@@ -85,6 +86,11 @@ impl Judged {
     pub(super) fn stands(&self) -> bool {
         let is_excused = self.gone.len() > self.moved.len();
         self.score >= 0.0 && self.refuted <= REFUTED_SHARE && self.misplaced == 0 && !is_excused
+    }
+
+    /// Whether the map speaks against it, but for what is said to be gone.
+    pub(super) fn is_denied(&self) -> bool {
+        self.denied > REFUTED_SHARE
     }
 
     /// Whether it is a place near the prediction that explains most of the scan.
@@ -118,6 +124,7 @@ pub(super) fn weigh(
         };
         let mut gone = Gone::default();
         let mut against = held_against(&gone);
+        let denied = against.share();
         let (mut best, mut support, mut moved) = (score(&against), 0.0, Vec::new());
         // Only where odometry is believed, if not to the letter: elsewhere whatever does not fit would have moved.
         let may_have_moved = measured && claim.log_prior >= LOG_SELDOM;
@@ -148,6 +155,7 @@ pub(super) fn weigh(
             prepared,
             score: best,
             refuted: against.share(),
+            denied,
             misplaced: against.misplaced,
             far,
             carried,
@@ -171,15 +179,19 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
     let near = judged.iter().filter(|option| !option.far);
     let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
     let near = near.expect("the prediction itself is among the explanations");
-    let (near_score, near_refuted) = (near.score, near.refuted);
-    let near_is_wrong = |refuted: f64| near_refuted > refuted + TOLERATED_SHARE;
+    let (near_score, near_denied) = (near.score, near.denied);
+    let near_is_wrong = |refuted: f64| near_denied > refuted + TOLERATED_SHARE;
     // A room like another proves nothing: odometry must be wrong before a robot was carried, and nothing near
     // may have more for it than against it. Along like rooms a map that is decimetres off speaks a little against
     // every place near, and for a room like this one farther back not at all.
     judged.retain(|option| !option.carried || near_score < 0.0 && near_is_wrong(option.refuted));
     let place = |option: &Judged| option.assignment.belief.world_from_robot;
+    let far_scores = judged.iter().filter(|option| option.far).map(|option| option.score);
+    let best_far = far_scores.fold(f64::NEG_INFINITY, f64::max);
+    // Places that nothing tells apart.
     let mut far_places: Vec<Isometry3<f64>> = Vec::new();
-    for there in judged.iter().filter(|option| option.far).map(place) {
+    let alike = judged.iter().filter(|option| option.far && option.score > best_far - UNPROVEN);
+    for there in alike.map(place) {
         if far_places.iter().all(|other| moves_far(other, &there, SAME_M, SAME_RAD)) {
             far_places.push(there);
         }
@@ -192,7 +204,9 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
                 && near_is_wrong(option.refuted)
                 && proven(&option.assignment, scan));
         if !proven {
-            option.score = option.score.min(near_score - UNPROVEN);
+            // Behind what is near, and behind one another as far as they were.
+            let behind = best_far - option.score;
+            option.score = option.score.min(near_score - UNPROVEN - behind);
         }
         let at = place(option);
         tracing::debug!(

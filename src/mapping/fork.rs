@@ -153,6 +153,7 @@ impl<'a> Fork<'a> {
         let judged = judge(weighed.clone(), arrival.scan);
         let best = judged.iter().max_by(|a, b| a.score.total_cmp(&b.score));
         let stands = best.is_some_and(Judged::stands);
+        let is_denied = best.is_some_and(Judged::is_denied);
         let mut elsewhere = false;
         if !stands || doubts.few || doubts.lost || doubts.displaced {
             let wider = self.wider(doubts, stands, &guess);
@@ -160,21 +161,20 @@ impl<'a> Fork<'a> {
             weighed.extend(wider);
         }
         // A motion that nobody measured is looked for by geometry, too: so far off too much fits by chance.
-        let unmeasured = if self.level_m() > OPEN_M {
-            Some((arrival.motion_covariance, 0.0))
-        } else if arrival.is_at_rest() && doubts.of_place() {
-            weighed.extend(self.moved_unmeasured());
-            Some((unmeasured_motion(), LOG_DEAD))
-        } else {
-            None
-        };
-        if let Some((spread, log_prior)) = unmeasured {
-            let within_reach = self.within_reach(&predicted, &spread, log_prior);
+        if self.level_m() > OPEN_M {
+            let within_reach = self.within_reach(&predicted, &arrival.motion_covariance, 0.0);
             elsewhere |= !within_reach.is_empty();
             weighed.extend(within_reach);
+        } else if arrival.is_at_rest() && doubts.of_place() {
+            let mut moved = self.moved_unmeasured();
+            moved.extend(self.within_reach(&predicted, &unmeasured_motion(), LOG_DEAD));
+            elsewhere |= moved.iter().any(|found| stands_elsewhere(found, &guess));
+            weighed.extend(moved);
         }
         if !elsewhere && (doubts.lost || !stands) {
-            weighed.extend(self.carried(doubts.doubled(), &guess));
+            let more = doubts.pairs + SLACK;
+            let least = if is_denied { more.max(FEW_PAIRS + 1) } else { doubts.doubled() };
+            weighed.extend(self.carried(least, &guess));
         }
         let way = |explanation| Way { explanation, verdicts: None };
         judge(weighed, arrival.scan).into_iter().map(way).collect()
@@ -187,6 +187,7 @@ impl<'a> Fork<'a> {
             assignment: plain.assignments[0].clone(),
             score: 0.0,
             refuted: 0.0,
+            denied: 0.0,
             misplaced: 0,
             far: false,
             carried: false,

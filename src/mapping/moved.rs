@@ -49,7 +49,7 @@ const BEHIND_PER_M: f64 = 0.015;
 /// Logarithm of how seldom that many are when it still is.
 const LOG_SEEN_THROUGH: f64 = -4.5;
 
-/// Landmarks that refute points of a scan, and where in their own planes.
+/// Landmarks that refute points of a scan, and where in their own planes points are seen through them.
 type Refuting = BTreeMap<LandmarkId, Vec<Point2<f64>>>;
 
 /// What is not there any more.
@@ -158,7 +158,8 @@ impl Estimate {
         assignment: &Assignment,
         refute: &Refuting,
     ) -> Gone {
-        let most = refute.iter().max_by(|a, b| a.1.len().cmp(&b.1.len()).then(b.0.cmp(a.0)));
+        let seen_through = refute.iter().filter(|(_, places)| !places.is_empty());
+        let most = seen_through.max_by(|a, b| a.1.len().cmp(&b.1.len()).then(b.0.cmp(a.0)));
         let Some((&id, places)) = most else { return Gone::default() };
         let Some(landmark) = self.landmark(id) else { return Gone::default() };
         let is_seen = |id: LandmarkId| {

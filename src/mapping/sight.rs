@@ -9,7 +9,7 @@ use super::mask::PlaneMask;
 use super::moved::Gone;
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
-use super::wall::{DOUBLED_M, SIGMAS, Wall};
+use super::wall::{DOUBLED_M, LARGE_DOUBLED_M, SIGMAS, Wall};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point2, Point3, Vector3, Vector6};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -18,6 +18,10 @@ use std::f64::consts::TAU;
 const SAMPLES_PER_PLANE: usize = 40;
 /// What parallel surfaces may be apart by and yet be one, beside what the pair leaves open: no floor is even.
 const EVEN_M: f64 = 0.02;
+/// Area above which an observation is no thing that came where it is meanwhile, in square metres.
+const LARGE_M2: f64 = 4.0;
+/// Logarithm of how seldom such a one lies where it cannot be.
+const LOG_MISPLACED: f64 = -10.0;
 /// Standard deviation of a wheel's height above the surface that it stands on: a tyre, a carpet, the
 /// fit of a floor. The pose's own adds to it.
 const WHEEL_SIGMA_M: f64 = 0.02;
@@ -35,13 +39,13 @@ pub(super) struct Contradiction {
     /// Logarithm of how much likelier the wheels' heights over mapped floors are than any height
     /// within [`DOUBLED_M`] would be; 0 where no floor is mapped under them.
     pub(super) footing: f64,
-    /// Logarithm of how seldom observations lie close before or behind a parallel surface of the map, over
+    /// Logarithm of how seldom large observations lie where they cannot be and others close before or behind a parallel surface of the map, over
     /// cells of it that were hit, as those here do: a floor taken for the kerb beside it.
     pub(super) doubled: f64,
     /// Observations that are not recognised and lie for the most part where they cannot be: a wall before or
     /// behind itself is one that was seen from elsewhere, however well the rest fits.
     pub(super) misplaced: usize,
-    /// Landmarks that refute points, in order, and where in their own planes.
+    /// Landmarks that refute points, in order, and where in their own planes points are seen through them.
     pub(super) by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
 }
 
@@ -95,7 +99,11 @@ impl Estimate {
                 found.doubled += observation.log_swallowed();
             }
             let is_free = assignment.pairs.iter().all(|pair| pair.0 != index);
-            found.misplaced += usize::from(is_free && held.is_misplaced());
+            let is_misplaced = is_free && held.is_misplaced();
+            found.misplaced += usize::from(is_misplaced);
+            if is_misplaced && observation.mask.area_m2() > LARGE_M2 {
+                found.doubled += LOG_MISPLACED;
+            }
             for (landmark, places) in held.by {
                 found.by.entry(landmark).or_default().extend(places);
             }
@@ -137,7 +145,7 @@ impl Estimate {
         let eye = Point3::from((world_from_robot * scan.robot_from_scan).translation.vector);
         let around = points.map(|p| world_from_robot * p).chain([eye]);
         // A wall that the points are said to stand before lies beyond all of them.
-        self.landmarks_about(around, DOUBLED_M)
+        self.landmarks_about(around, LARGE_DOUBLED_M)
             .filter_map(|(landmark, _)| {
                 let plane = prepared.plane_of(landmark.id);
                 let frame = plane.map_or(landmark.world_from_plane, |plane| belief.planes[plane]);
@@ -154,7 +162,7 @@ struct Held {
     /// See [`Refutation::Sure`] and [`Refutation::Tight`].
     refuted: usize,
     doubled: usize,
-    /// Landmarks that are sure to refute points, and where in their own planes.
+    /// Landmarks that are sure to refute points, and where in their own planes points are seen through them.
     by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
 }
 
@@ -197,7 +205,9 @@ fn held_against(
             let (verdict, at) = wall.verdict(&point);
             most = most.max(verdict);
             if verdict == Refutation::Sure {
-                held.by.entry(wall.wall.landmark.id).or_default().push(at);
+                // Nothing that opens excuses what is before it.
+                let through = wall.is_behind(&point).then_some(at);
+                held.by.entry(wall.wall.landmark.id).or_default().extend(through);
             }
         }
         match most {
@@ -229,9 +239,10 @@ struct Against<'a, 'w> {
     /// the two, where they are parallel and that is known.
     centre: Point3<f64>,
     gap: Option<Matrix3<f64>>,
-    /// Cells of the observation, and its frame in the landmark's.
+    /// Cells of the observation, its frame in the landmark's, and how far before the landmark it cannot be.
     mask: &'a PlaneMask,
     observed_from_wall: Isometry3<f64>,
+    before_m: f64,
 }
 
 impl<'a, 'w> Against<'a, 'w> {
@@ -246,7 +257,8 @@ impl<'a, 'w> Against<'a, 'w> {
         let centre = wall.plane_from_world * Point3::from(world_from_plane.translation.vector);
         let gap = wall.plane.filter(|_| parallel).map(gap);
         let observed_from_wall = (wall.plane_from_world * world_from_plane).inverse();
-        Self { wall, parallel, denied, centre, gap, mask, observed_from_wall }
+        let before_m = if mask.area_m2() > LARGE_M2 { LARGE_DOUBLED_M } else { DOUBLED_M };
+        Self { wall, parallel, denied, centre, gap, mask, observed_from_wall, before_m }
     }
 
     /// Whether a point of the observation, in the world, cannot be where it is, and where the landmark is in
@@ -254,7 +266,7 @@ impl<'a, 'w> Against<'a, 'w> {
     fn verdict(&self, point: &Point3<f64>) -> (Refutation, Point2<f64>) {
         let target = self.wall.plane_from_world * point;
         // Most points lie well before most surfaces: no margin would change that.
-        if target.z >= DOUBLED_M || (target.z > 0.0 && !self.parallel) {
+        if target.z >= self.before_m || (target.z > 0.0 && !self.parallel) {
             return (Refutation::None, target.xy());
         }
         let is_there =
@@ -262,7 +274,8 @@ impl<'a, 'w> Against<'a, 'w> {
         let would_hide = |at: &Point2<f64>, before_m: f64| {
             self.parallel && self.wall.was_seen_past(at, before_m, is_there)
         };
-        let refuted_at = |margin_m| self.wall.refuted_at(&target, margin_m, would_hide);
+        let refuted_at =
+            |margin_m| self.wall.refuted_at(&target, margin_m, self.before_m, would_hide);
         let ray_m = self.wall.ray_margin_m(&target);
         if let Some(at) = refuted_at(if self.denied { 0.0 } else { ray_m }) {
             return (Refutation::Sure, at);
@@ -270,6 +283,11 @@ impl<'a, 'w> Against<'a, 'w> {
         let gap = self.gap.filter(|_| !self.denied);
         let tight = gap.and_then(|gap| refuted_at(self.gap_margin_m(&gap, &target, ray_m)));
         tight.map_or((Refutation::None, target.xy()), |at| (Refutation::Tight, at))
+    }
+
+    /// Whether a point in the world lies behind the landmark.
+    fn is_behind(&self, point: &Point3<f64>) -> bool {
+        (self.wall.plane_from_world * point).z < 0.0
     }
 
     /// How far a point may lie off the landmark and yet be on it: between parallel surfaces that is known
@@ -305,7 +323,8 @@ fn footing(
                 let target = wall.plane_from_world * point;
                 let margin_m = wall.ray_margin_m(&target);
                 // Wheels hide the floor that they stand on.
-                wall.refuted_at(&target, margin_m, |_, _| wall.is_parallel(&up)).is_some()
+                let hides = |_: &Point2<f64>, _| wall.is_parallel(&up);
+                wall.refuted_at(&target, margin_m, DOUBLED_M, hides).is_some()
             });
             return if hidden { OFF_THE_FLOOR.ln() } else { 0.0 };
         };

@@ -13,8 +13,10 @@ const KNOWN_BEHIND_M: f64 = 0.05;
 pub(super) const SIGMAS: f64 = 3.0;
 const BEHIND_M: f64 = 0.15;
 const BEHIND_PER_M: f64 = 0.015;
-/// A surface up to this far before a parallel one cannot be where it would have hidden that one.
+/// A surface up to this far before a parallel one cannot be where it would have hidden that one; a large one,
+/// which did not come there meanwhile, up to the second.
 pub(super) const DOUBLED_M: f64 = 0.6;
+pub(super) const LARGE_DOUBLED_M: f64 = 1.5;
 const PARALLEL_COSINE: f64 = 0.99;
 /// Cells around the crossing in each axis that must all have been hit: edges of doorways shift with
 /// the pose.
@@ -71,14 +73,15 @@ impl<'a> Wall<'a> {
     }
 
     /// Where in the landmark's plane it refutes a point, in its frame, of a surface that is more than the margin
-    /// behind the landmark, seen from the eye, or before it where that `would_hide` it.
+    /// behind the landmark, seen from the eye, or up to so many metres before it where that `would_hide` it.
     pub(super) fn refuted_at(
         &self,
         target: &Point3<f64>,
         margin_m: f64,
+        before_m: f64,
         would_hide: impl Fn(&Point2<f64>, f64) -> bool,
     ) -> Option<Point2<f64>> {
-        if target.z > margin_m && target.z < DOUBLED_M {
+        if target.z > margin_m && target.z < before_m {
             let at = target.xy();
             return (self.solid_at(target) && would_hide(&at, target.z)).then_some(at);
         }

@@ -60,8 +60,6 @@ fn carry(drive: &mut Drive<'_>, to: &Isometry3<f64>) {
 struct Carried {
     /// Whether it was taken to be in another room after the first looks.
     was_wrong: bool,
-    /// Whether that was given up.
-    undone: bool,
     error: (f64, f64),
 }
 
@@ -73,11 +71,10 @@ fn carried(world: &World, seed: u64) -> Carried {
     let place = Vector3::new(8.0 * room + draw(1.0, 2.0), draw(-0.5, 0.5), 0.0);
     carry(&mut drive, &Isometry3::new(place, Vector3::z() * draw(-0.5, 0.5)));
     drive.look();
-    let mut became = Carried { was_wrong: false, undone: false, error: (0.0, 0.0) };
+    let mut became = Carried { was_wrong: false, error: (0.0, 0.0) };
     for _ in 0..3 {
         let report = drive.go(&step(0.4, 0.0, 12.0), &OdometryNoise::default());
         became.error = drive.error();
-        became.undone |= became.was_wrong && report.loop_undone;
         became.was_wrong |= !report.associations.is_empty() && became.error.0 > 1.0;
     }
     became
@@ -91,13 +88,16 @@ fn a_robot_that_was_carried_knows_the_place_again() {
     }
 }
 
-/// The rooms are alike but for their furniture, of which the first looks show too little here.
+/// The rooms are alike but for their furniture, of which the first looks show little here: in each of these
+/// another room was believed at first when all places that are not proven were taken for as likely.
 #[test]
-fn a_place_known_again_by_mistake_is_given_up() {
-    let Carried { was_wrong, undone, error: (metres, radians) } =
-        carried(&furnished_differently(105), 0);
-    assert!(was_wrong, "the other room was never believed");
-    assert!(undone && metres < 0.02 && radians < 0.005, "{metres} m, {radians} rad");
+fn a_place_is_not_known_again_by_mistake() {
+    for layout in [105, 108, 142, 165, 176, 205, 237, 284, 285, 311, 420, 455, 458, 483, 495] {
+        let Carried { was_wrong, error: (metres, radians) } =
+            carried(&furnished_differently(layout), 0);
+        assert!(!was_wrong, "{layout}: another room was believed");
+        assert!(metres < 0.02 && radians < 0.005, "{layout}: {metres} m, {radians} rad");
+    }
 }
 
 #[test]
