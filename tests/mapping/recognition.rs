@@ -100,6 +100,31 @@ fn a_place_is_not_known_again_by_mistake() {
     }
 }
 
+/// One block tells a room from the others, and the first look after the robot was set down does not show it.
+#[test]
+fn a_place_known_again_by_mistake_is_given_up() {
+    for layout in [1, 3, 7, 13] {
+        let mut random = rng(layout);
+        let mut draw = |low: f64, high: f64| low + (high - low) * uniform(&mut random);
+        let world = rooms(3, |world, _, x| {
+            let at = (x + 5.5 + draw(-0.6, 0.6), -2.2 + draw(-0.4, 0.4));
+            let size = (draw(0.5, 1.4), draw(0.5, 1.2), draw(0.5, 1.9));
+            world.block(at, size, draw(-1.5, 1.5));
+        });
+        let mut drive = explored(&world, 0, 20);
+        carry(&mut drive, &Isometry3::new(Vector3::new(9.5, 0.2, 0.0), Vector3::z() * 0.9));
+        drive.look();
+        let (mut was_wrong, mut undone) = (false, false);
+        for _ in 0..6 {
+            was_wrong |= drive.error().0 > 1.0;
+            undone |= drive.go(&step(0.3, 0.0, -18.0), &OdometryNoise::default()).loop_undone;
+        }
+        let (metres, radians) = drive.error();
+        assert!(was_wrong, "{layout}: no other room was ever believed");
+        assert!(undone && metres < 0.02 && radians < 0.005, "{layout}: {metres} m, {radians} rad");
+    }
+}
+
 #[test]
 fn a_room_like_another_is_not_taken_for_it() {
     // The same furniture in every room: only the way there tells them apart.
