@@ -140,12 +140,16 @@ pub(super) fn weigh(
                 moved = found.landmarks;
             }
         }
-        for _ in 0..if may_have_moved { MOST_VANISHED } else { 0 } {
+        let most_vanished = if may_have_moved { MOST_VANISHED } else { 0 };
+        for _ in 0..most_vanished {
             let thing = estimate.vanished(option, &claim.assignment, &against.by);
+            if thing.is_empty() {
+                break;
+            }
             let all = gone.and(&thing);
             let without = held_against(&all);
             let other = score(&without) + support + LOG_VANISHED;
-            if thing.is_empty() || other <= best {
+            if other <= best {
                 break;
             }
             (against, best, support, gone) = (without, other, support + LOG_VANISHED, all);

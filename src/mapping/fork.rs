@@ -91,7 +91,7 @@ struct Doubts {
 
 impl Doubts {
     fn any(self) -> bool {
-        self.few || self.large || self.displaced || self.lost || self.partial
+        self.large || self.displaced || self.of_place()
     }
 
     /// Whether it may be another place altogether: a thing that moves does not change most of what is seen.

@@ -39,8 +39,9 @@ pub(super) struct Contradiction {
     /// Logarithm of how much likelier the wheels' heights over mapped floors are than any height
     /// within [`DOUBLED_M`] would be; 0 where no floor is mapped under them.
     pub(super) footing: f64,
-    /// Logarithm of how seldom large observations lie where they cannot be and others close before or behind a parallel surface of the map, over
-    /// cells of it that were hit, as those here do: a floor taken for the kerb beside it.
+    /// Logarithm of how seldom observations lie close before or behind a parallel surface of the map, over
+    /// cells of it that were hit, as those here do: a floor taken for the kerb beside it. Large ones that are
+    /// misplaced count, too.
     pub(super) doubled: f64,
     /// Observations that are not recognised and lie for the most part where they cannot be: a wall before or
     /// behind itself is one that was seen from elsewhere, however well the rest fits.
@@ -101,7 +102,7 @@ impl Estimate {
             let is_free = assignment.pairs.iter().all(|pair| pair.0 != index);
             let is_misplaced = is_free && held.is_misplaced();
             found.misplaced += usize::from(is_misplaced);
-            if is_misplaced && observation.mask.area_m2() > LARGE_M2 {
+            if is_misplaced && is_large(observation) {
                 found.doubled += LOG_MISPLACED;
             }
             for (landmark, places) in held.by {
@@ -155,6 +156,11 @@ impl Estimate {
     }
 }
 
+/// Whether an observation is no thing that came where it is meanwhile.
+fn is_large(observation: &Observation) -> bool {
+    observation.mask.area_m2() > LARGE_M2
+}
+
 /// How an observation's points lie among the landmarks.
 #[derive(Clone, Debug, Default)]
 struct Held {
@@ -183,11 +189,12 @@ fn held_against(
 ) -> Held {
     let observation = &scan.observations[index];
     let world_from_plane = assignment.belief.world_from_robot * observation.robot_from_plane;
+    let before_m = if is_large(observation) { LARGE_DOUBLED_M } else { DOUBLED_M };
     let against: Vec<Against<'_, '_>> = walls
         .iter()
         .map(|wall| {
             let denied = denied(wall.landmark.id);
-            Against::new(wall, &observation.mask, &world_from_plane, denied, |plane| {
+            Against::new(wall, &observation.mask, before_m, &world_from_plane, denied, |plane| {
                 prepared.gap(scan, assignment, index, plane)
             })
         })
@@ -202,11 +209,9 @@ fn held_against(
         held.samples += 1;
         let mut most = Refutation::None;
         for wall in &against {
-            let (verdict, at) = wall.verdict(&point);
+            let (verdict, through) = wall.verdict(&point);
             most = most.max(verdict);
             if verdict == Refutation::Sure {
-                // Nothing that opens excuses what is before it.
-                let through = wall.is_behind(&point).then_some(at);
                 held.by.entry(wall.wall.landmark.id).or_default().extend(through);
             }
         }
@@ -249,6 +254,7 @@ impl<'a, 'w> Against<'a, 'w> {
     fn new(
         wall: &'a Wall<'w>,
         mask: &'a PlaneMask,
+        before_m: f64,
         world_from_plane: &Isometry3<f64>,
         denied: bool,
         gap: impl FnOnce(usize) -> Matrix3<f64>,
@@ -257,17 +263,16 @@ impl<'a, 'w> Against<'a, 'w> {
         let centre = wall.plane_from_world * Point3::from(world_from_plane.translation.vector);
         let gap = wall.plane.filter(|_| parallel).map(gap);
         let observed_from_wall = (wall.plane_from_world * world_from_plane).inverse();
-        let before_m = if mask.area_m2() > LARGE_M2 { LARGE_DOUBLED_M } else { DOUBLED_M };
         Self { wall, parallel, denied, centre, gap, mask, observed_from_wall, before_m }
     }
 
-    /// Whether a point of the observation, in the world, cannot be where it is, and where the landmark is in
-    /// the way, in its own plane.
-    fn verdict(&self, point: &Point3<f64>) -> (Refutation, Point2<f64>) {
+    /// Whether a point of the observation, in the world, cannot be where it is, and where it is seen through the
+    /// landmark, in its plane: nothing that opens excuses what is before it.
+    fn verdict(&self, point: &Point3<f64>) -> (Refutation, Option<Point2<f64>>) {
         let target = self.wall.plane_from_world * point;
         // Most points lie well before most surfaces: no margin would change that.
         if target.z >= self.before_m || (target.z > 0.0 && !self.parallel) {
-            return (Refutation::None, target.xy());
+            return (Refutation::None, None);
         }
         let is_there =
             |crossing: &Point3<f64>| self.mask.contains(&(self.observed_from_wall * crossing).xy());
@@ -278,16 +283,11 @@ impl<'a, 'w> Against<'a, 'w> {
             |margin_m| self.wall.refuted_at(&target, margin_m, self.before_m, would_hide);
         let ray_m = self.wall.ray_margin_m(&target);
         if let Some(at) = refuted_at(if self.denied { 0.0 } else { ray_m }) {
-            return (Refutation::Sure, at);
+            return (Refutation::Sure, (target.z < 0.0).then_some(at));
         }
         let gap = self.gap.filter(|_| !self.denied);
         let tight = gap.and_then(|gap| refuted_at(self.gap_margin_m(&gap, &target, ray_m)));
-        tight.map_or((Refutation::None, target.xy()), |at| (Refutation::Tight, at))
-    }
-
-    /// Whether a point in the world lies behind the landmark.
-    fn is_behind(&self, point: &Point3<f64>) -> bool {
-        (self.wall.plane_from_world * point).z < 0.0
+        (if tight.is_some() { Refutation::Tight } else { Refutation::None }, None)
     }
 
     /// How far a point may lie off the landmark and yet be on it: between parallel surfaces that is known
@@ -422,7 +422,7 @@ mod tests {
         let verdict = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64| {
             let sigmas = Vector3::new(sigma_m, sigma_rad, sigma_rad);
             let gap = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
-            Against::new(&wall, &floor.mask, &over, false, |_| gap).verdict(&point).0
+            Against::new(&wall, &floor.mask, DOUBLED_M, &over, false, |_| gap).verdict(&point).0
         };
         let point = Point3::new(1.0, -1.0, 0.05);
         // What the ray's length leaves open is more.

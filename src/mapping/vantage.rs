@@ -18,23 +18,18 @@ pub(super) struct Vantage<'a> {
 }
 
 impl Vantage<'_> {
-    /// Where a line of sight to a point of the plane comes through another plane that lies before it, so many
-    /// metres; `None` where the point was not seen from here, or from between the two.
-    fn crossing(&self, at: &Point2<f64>, before_m: f64) -> Option<Point3<f64>> {
-        let at = Point3::new(at.x, at.y, 0.0);
-        let was_seen = || self.seen.contains(&(self.observed_from_plane * at).xy());
-        (self.eye.z > before_m && was_seen())
-            .then(|| at + (self.eye - at) * (before_m / self.eye.z))
-    }
-
-    /// Whether something before a point of the plane would have hidden it from here.
+    /// Whether a surface so many metres before the plane would have hidden a point of it that was seen from here,
+    /// if it `is_there` where the line of sight comes through it.
     pub(super) fn is_denied(
         &self,
         at: &Point2<f64>,
         before_m: f64,
         is_there: impl Fn(&Point3<f64>) -> bool,
     ) -> bool {
-        self.crossing(at, before_m).is_some_and(|crossing| is_there(&crossing))
+        let at = Point3::new(at.x, at.y, 0.0);
+        let was_seen = || self.seen.contains(&(self.observed_from_plane * at).xy());
+        let crossing = || at + (self.eye - at) * (before_m / self.eye.z);
+        self.eye.z > before_m && was_seen() && is_there(&crossing())
     }
 }
 

@@ -113,11 +113,11 @@ fn a_place_known_again_by_mistake_is_given_up() {
         });
         let mut drive = explored(&world, 0, 20);
         carry(&mut drive, &Isometry3::new(Vector3::new(9.5, 0.2, 0.0), Vector3::z() * 0.9));
-        drive.look();
-        let (mut was_wrong, mut undone) = (false, false);
+        let (mut report, mut was_wrong, mut undone) = (drive.look(), false, false);
         for _ in 0..6 {
-            was_wrong |= drive.error().0 > 1.0;
-            undone |= drive.go(&step(0.3, 0.0, -18.0), &OdometryNoise::default()).loop_undone;
+            was_wrong |= !report.associations.is_empty() && drive.error().0 > 1.0;
+            report = drive.go(&step(0.3, 0.0, -18.0), &OdometryNoise::default());
+            undone |= was_wrong && report.loop_undone;
         }
         let (metres, radians) = drive.error();
         assert!(was_wrong, "{layout}: no other room was ever believed");
