@@ -184,6 +184,7 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
     let near = near.max_by(|a, b| a.score.total_cmp(&b.score));
     let near = near.expect("the prediction itself is among the explanations");
     let (near_score, near_denied) = (near.score, near.denied);
+    let near_fails = near.refuted > REFUTED_SHARE;
     let near_is_wrong = |refuted: f64| near_denied > refuted + TOLERATED_SHARE;
     // A room like another proves nothing: odometry must be wrong before a robot was carried, and nothing near
     // may have more for it than against it. Along like rooms a map that is decimetres off speaks a little against
@@ -201,9 +202,10 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
         }
     }
     for option in &mut judged {
-        // What lies far from the prediction needs more than a good fit: worlds repeat themselves.
+        // What lies far from the prediction needs more than a good fit: worlds repeat themselves. Which of
+        // several it is, its score tells, and the scans to come, once nothing near is left to keep to.
         let proven = !option.far
-            || (far_places.len() == 1
+            || ((far_places.len() == 1 || near_fails)
                 && option.refuted < TOLERATED_SHARE
                 && near_is_wrong(option.refuted)
                 && proven(&option.assignment, scan));

@@ -6,8 +6,8 @@
 
 use super::association::{Assignment, AssociationConfig, Verdict};
 use super::claims::{
-    Claim, Judged, LOG_SELDOM, SAME_M, SAME_RAD, judge, moves_far, recognised_share, upright_share,
-    weigh,
+    Claim, Judged, LOG_SELDOM, SAME_M, SAME_RAD, TOLERATED_SHARE, judge, moves_far,
+    recognised_share, upright_share, weigh,
 };
 use super::estimate::{Arrival, Estimate, Prepared};
 use super::moved::Gone;
@@ -100,8 +100,8 @@ impl Doubts {
     }
 
     /// Pairs that another place must show; those that the map speaks against are no measure of it.
-    fn least(self, stands: bool) -> usize {
-        if self.few || stands { self.doubled() } else { FEW_PAIRS + 1 }
+    fn least(self, convinces: bool) -> usize {
+        if self.few || convinces { self.doubled() } else { FEW_PAIRS + 1 }
     }
 
     fn doubled(self) -> usize {
@@ -153,10 +153,11 @@ impl<'a> Fork<'a> {
         let judged = judge(weighed.clone(), arrival.scan);
         let best = judged.iter().max_by(|a, b| a.score.total_cmp(&b.score));
         let stands = best.is_some_and(Judged::stands);
+        let convinces = stands && best.is_some_and(|best| best.refuted <= TOLERATED_SHARE);
         let is_denied = best.is_some_and(Judged::is_denied);
         let mut elsewhere = false;
-        if !stands || doubts.few || doubts.lost || doubts.displaced {
-            let wider = self.wider(doubts, stands, &guess);
+        if !convinces || doubts.few || doubts.lost || doubts.displaced {
+            let wider = self.wider(doubts, convinces, &guess);
             elsewhere = wider.iter().any(|found| stands_elsewhere(found, &guess));
             weighed.extend(wider);
         }
@@ -206,15 +207,14 @@ impl<'a> Fork<'a> {
         let pairs = found.pairs.len();
         let most = scan.observations.len().min(config.anchors);
         let few = !estimate.landmarks().is_empty() && pairs < (most / 3).max(FEW_PAIRS);
-        let is_unknown = |index: &usize| !matches!(verdicts[*index], Verdict::Seen(..));
-        let unknown: Vec<usize> = (0..verdicts.len()).filter(is_unknown).collect();
+        let is_unknown = |index: usize| !matches!(verdicts[index], Verdict::Seen(..));
         Doubts {
             pairs,
             most,
             few,
             large: is_large(found, plain),
             displaced: estimate.may_be_displaced(arrival, config, plain, found, verdicts)
-                || estimate.misplaces(scan, plain, found, &unknown),
+                || estimate.misplaces(scan, plain, found, is_unknown),
             lost: few || upright_share(found, scan) < LOST_SHARE,
             partial: (pairs as f64) < KNOWN_SHARE * most as f64
                 || recognised_share(found, scan) < KNOWN_SHARE,
@@ -222,10 +222,10 @@ impl<'a> Fork<'a> {
     }
 
     /// What fits where the motion may have been worse than told, up to the least widening under which something
-    /// elsewhere stands.
-    fn wider(&mut self, doubts: Doubts, stands: bool, guess: &Isometry3<f64>) -> Vec<Judged> {
+    /// elsewhere stands. Where the best so far `convinces`, more is asked of anything else.
+    fn wider(&mut self, doubts: Doubts, convinces: bool, guess: &Isometry3<f64>) -> Vec<Judged> {
         let Doubts { pairs, most, .. } = doubts;
-        let least = doubts.least(stands);
+        let least = doubts.least(convinces);
         // What a scan shows beside its most telling planes may be all that differs.
         let nearly = pairs.saturating_sub(SLACK).max(FEW_PAIRS + 1);
         let least_wide = if doubts.displaced { least.min(nearly) } else { least };
@@ -253,12 +253,15 @@ impl<'a> Fork<'a> {
             }
         }
         // Among many like surfaces so much fits within a wide circle that the search does not come to all of it.
+        // Along a row of like things as many fit a place beside the true one, against which the map speaks.
+        let least_beside =
+            if doubts.displaced || !convinces { least_slipped.min(nearly) } else { least_slipped };
         let mut claims = Vec::new();
         for world_from_robot in self.estimate.beside(self.arrival, FAR_M.0, FAR_RAD.0) {
             let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
             claims.extend(self.claims(there, LOG_SLIPPED));
         }
-        claims.retain(|claim| claim.assignment.pairs.len() >= least_slipped);
+        claims.retain(|claim| claim.assignment.pairs.len() >= least_beside);
         found.extend(self.weigh(claims));
         found
     }

@@ -1,4 +1,4 @@
-use nalgebra::{Isometry3, Point2, Point3};
+use nalgebra::{Isometry3, Point2, Point3, Vector2};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -74,6 +74,15 @@ impl PlaneMask {
     /// Whether the cell of a point is set.
     pub fn contains(&self, point: &Point2<f64>) -> bool {
         self.get(cell_of(point.x), cell_of(point.y))
+    }
+
+    /// Whether a point is half a cell within the cells that are set: one hit sets a whole cell, of which the
+    /// surface may cover but an edge.
+    pub fn contains_well(&self, point: &Point2<f64>) -> bool {
+        let half = 0.5 * MASK_CELL_M;
+        [(-half, -half), (half, -half), (-half, half), (half, half)]
+            .iter()
+            .all(|&(x, y)| self.contains(&(point + Vector2::new(x, y))))
     }
 
     /// Whether the cell of a point and all within `reach` cells of it in each axis are set.
@@ -361,6 +370,20 @@ mod tests {
             }
         }
         builder.finish()
+    }
+
+    #[test]
+    fn the_edge_of_what_was_hit_holds_nothing_well() {
+        let mut mask = PlaneMask::default();
+        for (x, y) in [(0.05, 0.05), (0.15, 0.05), (0.05, 0.15), (0.15, 0.15)] {
+            mask.insert(&Point2::new(x, y));
+        }
+        assert!(mask.contains_well(&Point2::new(0.1, 0.1)));
+        assert!(mask.contains_well(&Point2::new(0.051, 0.149)));
+        for (x, y) in [(0.04, 0.1), (0.16, 0.1), (0.1, 0.04), (0.1, 0.16)] {
+            let point = Point2::new(x, y);
+            assert!(mask.contains(&point) && !mask.contains_well(&point));
+        }
     }
 
     #[test]

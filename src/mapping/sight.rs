@@ -20,6 +20,12 @@ const SAMPLES_PER_PLANE: usize = 40;
 const EVEN_M: f64 = 0.02;
 /// Area above which an observation is no thing that came where it is meanwhile, in square metres.
 const LARGE_M2: f64 = 4.0;
+/// Share of its area that a landmark has which is taken for a large observation without a question: the edge of
+/// a shelf is in one plane with a wall that slipped wheels put there.
+const KNOWN_PART: f64 = 0.5;
+/// What such a one that is not recognised may be off a parallel landmark: had it been the same wall, it would
+/// have been recognised, whatever the pose leaves open.
+const SAME_WALL_M: f64 = 0.05;
 /// Logarithm of how seldom such a one lies where it cannot be.
 const LOG_MISPLACED: f64 = -10.0;
 /// Standard deviation of a wheel's height above the surface that it stands on: a tyre, a carpet, the
@@ -43,8 +49,8 @@ pub(super) struct Contradiction {
     /// cells of it that were hit, as those here do: a floor taken for the kerb beside it. Large ones that are
     /// misplaced count, too.
     pub(super) doubled: f64,
-    /// Observations that are not recognised and lie for the most part where they cannot be: a wall before or
-    /// behind itself is one that was seen from elsewhere, however well the rest fits.
+    /// Observations that lie for the most part where they cannot be and are not recognised, or large: a wall
+    /// before or behind itself is one that was seen from elsewhere, however well the rest fits.
     pub(super) misplaced: usize,
     /// Landmarks that refute points, in order, and where in their own planes points are seen through them.
     pub(super) by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
@@ -100,7 +106,7 @@ impl Estimate {
                 found.doubled += observation.log_swallowed();
             }
             let is_free = assignment.pairs.iter().all(|pair| pair.0 != index);
-            let is_misplaced = is_free && held.is_misplaced();
+            let is_misplaced = (is_free || is_large(observation)) && held.is_misplaced();
             found.misplaced += usize::from(is_misplaced);
             if is_misplaced && is_large(observation) {
                 found.doubled += LOG_MISPLACED;
@@ -112,21 +118,31 @@ impl Estimate {
         found
     }
 
-    /// Whether one of some observations that an assignment does not recognise lies for the most part where the
-    /// map says that it cannot be: see [`Contradiction::misplaced`].
+    /// Whether an observation that an assignment does not recognise, or takes for a landmark that is far smaller,
+    /// lies for the most part where the map says that it cannot be: see [`Contradiction::misplaced`].
     pub(super) fn misplaces(
         &self,
         scan: &ScanObservations,
         prepared: &Prepared,
         assignment: &Assignment,
-        unknown: &[usize],
+        is_unknown: impl Fn(usize) -> bool,
     ) -> bool {
-        if unknown.is_empty() {
+        let outgrows = |index: usize| {
+            let observation = &scan.observations[index];
+            let taken = || assignment.pairs.iter().find(|pair| pair.0 == index);
+            let least_m2 = KNOWN_PART * observation.mask.area_m2();
+            let landmark = || self.landmark(prepared.landmark_of(taken()?.1));
+            is_large(observation) && landmark().is_some_and(|it| it.mask.area_m2() < least_m2)
+        };
+        let asked: Vec<usize> = (0..scan.observations.len())
+            .filter(|&index| is_unknown(index) || outgrows(index))
+            .collect();
+        if asked.is_empty() {
             return false;
         }
-        let hulls = unknown.iter().flat_map(|&index| scan.observations[index].hull_points());
+        let hulls = asked.iter().flat_map(|&index| scan.observations[index].hull_points());
         let walls = self.walls(scan, prepared, assignment, hulls);
-        unknown.iter().any(|&index| {
+        asked.iter().any(|&index| {
             held_against(&walls, scan, prepared, assignment, index, |_| false).is_misplaced()
         })
     }
@@ -168,13 +184,15 @@ struct Held {
     /// See [`Refutation::Sure`] and [`Refutation::Tight`].
     refuted: usize,
     doubled: usize,
+    /// Those of the refuted ones where the map does not have what the observation is said to be.
+    misplaced: usize,
     /// Landmarks that are sure to refute points, and where in their own planes points are seen through them.
     by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
 }
 
 impl Held {
     fn is_misplaced(&self) -> bool {
-        2 * self.refuted > self.samples
+        2 * self.misplaced > self.samples
     }
 }
 
@@ -189,17 +207,24 @@ fn held_against(
 ) -> Held {
     let observation = &scan.observations[index];
     let world_from_plane = assignment.belief.world_from_robot * observation.robot_from_plane;
-    let before_m = if is_large(observation) { LARGE_DOUBLED_M } else { DOUBLED_M };
+    let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
+    let is_large = is_large(observation);
+    let before_m = if is_large { LARGE_DOUBLED_M } else { DOUBLED_M };
     let against: Vec<Against<'_, '_>> = walls
         .iter()
         .map(|wall| {
-            let denied = denied(wall.landmark.id);
-            Against::new(wall, &observation.mask, before_m, &world_from_plane, denied, |plane| {
+            let said = if denied(wall.landmark.id) {
+                Said::Another
+            } else if is_large && taken.is_none() {
+                Said::AnotherWall
+            } else {
+                Said::Nothing
+            };
+            Against::new(wall, &observation.mask, before_m, &world_from_plane, said, |plane| {
                 prepared.gap(scan, assignment, index, plane)
             })
         })
         .collect();
-    let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
     let own = taken.and_then(|plane| walls.iter().find(|wall| wall.plane == Some(plane)));
     let mut held = Held::default();
     for cell in observation.mask.thinned(SAMPLES_PER_PLANE) {
@@ -216,12 +241,25 @@ fn held_against(
             }
         }
         match most {
-            Refutation::Sure => held.refuted += 1,
+            Refutation::Sure => {
+                held.refuted += 1;
+                held.misplaced += usize::from(is_news());
+            }
             Refutation::Tight if is_news() => held.doubled += 1,
             _ => {}
         }
     }
     held
+}
+
+/// What an explanation says of an observation beside a landmark.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Said {
+    Nothing,
+    /// That it is another surface, and fits this one.
+    Another,
+    /// That it is no wall of the map, large as it is.
+    AnotherWall,
 }
 
 /// What a landmark says against a point.
@@ -239,7 +277,7 @@ struct Against<'a, 'w> {
     wall: &'a Wall<'w>,
     /// Whether both face the same way.
     parallel: bool,
-    denied: bool,
+    said: Said,
     /// Centre of the observation in the landmark's frame, and the covariance of the gap and the tilts between
     /// the two, where they are parallel and that is known.
     centre: Point3<f64>,
@@ -256,14 +294,14 @@ impl<'a, 'w> Against<'a, 'w> {
         mask: &'a PlaneMask,
         before_m: f64,
         world_from_plane: &Isometry3<f64>,
-        denied: bool,
+        said: Said,
         gap: impl FnOnce(usize) -> Matrix3<f64>,
     ) -> Self {
         let parallel = wall.is_parallel(&(world_from_plane.rotation * Vector3::z()));
         let centre = wall.plane_from_world * Point3::from(world_from_plane.translation.vector);
         let gap = wall.plane.filter(|_| parallel).map(gap);
         let observed_from_wall = (wall.plane_from_world * world_from_plane).inverse();
-        Self { wall, parallel, denied, centre, gap, mask, observed_from_wall, before_m }
+        Self { wall, parallel, said, centre, gap, mask, observed_from_wall, before_m }
     }
 
     /// Whether a point of the observation, in the world, cannot be where it is, and where it is seen through the
@@ -274,29 +312,34 @@ impl<'a, 'w> Against<'a, 'w> {
         if target.z >= self.before_m || (target.z > 0.0 && !self.parallel) {
             return (Refutation::None, None);
         }
-        let is_there =
-            |crossing: &Point3<f64>| self.mask.contains(&(self.observed_from_wall * crossing).xy());
+        let is_there = |crossing: &Point3<f64>| {
+            self.mask.contains_well(&(self.observed_from_wall * crossing).xy())
+        };
         let would_hide = |at: &Point2<f64>, before_m: f64| {
             self.parallel && self.wall.was_seen_past(at, before_m, is_there)
         };
         let refuted_at =
             |margin_m| self.wall.refuted_at(&target, margin_m, self.before_m, would_hide);
-        let ray_m = self.wall.ray_margin_m(&target);
-        if let Some(at) = refuted_at(if self.denied { 0.0 } else { ray_m }) {
+        let margin_m = match self.said {
+            Said::Another => 0.0,
+            Said::AnotherWall if self.parallel => SAME_WALL_M,
+            _ => self.wall.ray_margin_m(&target),
+        };
+        if let Some(at) = refuted_at(margin_m) {
             return (Refutation::Sure, (target.z < 0.0).then_some(at));
         }
-        let gap = self.gap.filter(|_| !self.denied);
-        let tight = gap.and_then(|gap| refuted_at(self.gap_margin_m(&gap, &target, ray_m)));
+        let gap = self.gap.filter(|_| self.said != Said::Another);
+        let tight = gap.and_then(|gap| refuted_at(self.gap_margin_m(&gap, &target, margin_m)));
         (if tight.is_some() { Refutation::Tight } else { Refutation::None }, None)
     }
 
     /// How far a point may lie off the landmark and yet be on it: between parallel surfaces that is known
-    /// as well as the pair is.
-    fn gap_margin_m(&self, gap: &Matrix3<f64>, target: &Point3<f64>, ray_m: f64) -> f64 {
+    /// as well as the pair is, and at most so far.
+    fn gap_margin_m(&self, gap: &Matrix3<f64>, target: &Point3<f64>, most_m: f64) -> f64 {
         // A point at (x, y) from the centre moves by δz - θ x + ψ y.
         let row = Vector3::new(1.0, self.centre.x - target.x, target.y - self.centre.y);
         let sigma_m = row.dot(&(gap * row)).max(0.0).sqrt();
-        (EVEN_M + SIGMAS * sigma_m).min(ray_m)
+        (EVEN_M + SIGMAS * sigma_m).min(most_m)
     }
 }
 
@@ -422,7 +465,9 @@ mod tests {
         let verdict = |point: Point3<f64>, sigma_m: f64, sigma_rad: f64| {
             let sigmas = Vector3::new(sigma_m, sigma_rad, sigma_rad);
             let gap = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
-            Against::new(&wall, &floor.mask, DOUBLED_M, &over, false, |_| gap).verdict(&point).0
+            Against::new(&wall, &floor.mask, DOUBLED_M, &over, Said::Nothing, |_| gap)
+                .verdict(&point)
+                .0
         };
         let point = Point3::new(1.0, -1.0, 0.05);
         // What the ray's length leaves open is more.

@@ -139,6 +139,33 @@ fn doors_that_swing_open_leave_the_robot_in_its_room() {
     }
 }
 
+/// A robot that drove through all rooms and back is set down in another of them, where it stood that is sure to be
+/// wrong, and more than one room is not.
+#[test]
+fn a_robot_that_is_set_down_among_mapped_rooms_finds_the_one() {
+    let world = rooms();
+    let there = (0..37).map(|k| step(0.8 + 0.4 * f64::from(k), 0.05, 0.0));
+    let turned = (1..9).map(|k| step(15.2, 0.05, 22.5 * f64::from(k)));
+    let back = (1..33).map(|k| step(15.2 - 0.4 * f64::from(k), 0.0, 180.0));
+    let way: Vec<_> = there.chain(turned).chain(back).collect();
+    for (seed, x) in [10.4, 14.4].into_iter().enumerate() {
+        let mut drive = Drive::begin(&world, MapperConfig::default(), way[0], seed as u64);
+        for target in &way[1..] {
+            drive.steer_to(*target, &OdometryNoise::default());
+        }
+        let before_m = drive.error().0;
+        assert!(before_m < 0.02, "{x}: {before_m} m before");
+        drive.slide(&Isometry3::identity(), &Vector6::zeros());
+        drive.truth = step(x, 0.0, 180.0);
+        drive.look();
+        for k in 1..6 {
+            drive.steer_to(step(x - 0.4 * f64::from(k), 0.0, 180.0), &OdometryNoise::default());
+        }
+        let off_m = drive.error().0;
+        assert!(off_m < 0.05, "{x}: {off_m} m");
+    }
+}
+
 /// Encoders that are dead tell of rest whatever the robot does.
 #[test]
 fn odometry_that_always_tells_of_rest_is_found_out() {

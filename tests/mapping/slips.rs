@@ -108,6 +108,55 @@ fn a_slip_by_a_tread_along_a_stair_is_found() {
     }
 }
 
+/// A hall with a stair, shelves and tables, and a robot that turns its side to the stair.
+#[test]
+fn a_slip_beside_a_stair_is_found() {
+    let mut world = World::default();
+    world.room([0.0, -4.0, 12.0, 4.0], 5.0);
+    for step in 0..12 {
+        let (x, z) = (6.0 + 0.28 * f64::from(step), 0.17 * f64::from(step));
+        world.patch([x, 0.0, z], [0.0, 2.0, 0.0], [0.0, 0.0, 0.17]);
+        world.patch([x, 0.0, z + 0.17], [0.28, 0.0, 0.0], [0.0, 2.0, 0.0]);
+    }
+    for board in 0..4 {
+        let z = 0.4 + 0.45 * f64::from(board);
+        world.block(&pose([3.0, -3.6, z + 0.015], 0.0, 0.0, 0.0), [2.4, 0.5, 0.03]);
+    }
+    for table in 0..3 {
+        let x = 8.0 + 1.3 * f64::from(table);
+        world.block(&pose([x, -2.5, 0.74], 0.0, 0.0, 0.0), [0.9, 0.7, 0.04]);
+    }
+    world.standing(4.2, 2.8, [0.8, 0.8, 0.9], 1.05);
+    let ahead = (0..10).map(|k| (1.0 + 0.389 * f64::from(k), 1.0, 0.0));
+    let turned = (1..5).map(|k| (4.5, 1.0, -22.5 * f64::from(k)));
+    let aside = (1..8).map(|k| (4.5, 1.0 - 0.357 * f64::from(k), -90.0));
+    let seen = along(&world, &ahead.chain(turned).chain(aside).collect::<Vec<_>>());
+    for at in 14..18 {
+        for slip in [[0.28, 0.0], [-0.28, 0.0], [-0.6, 0.0], [0.0, 0.28]] {
+            let off_m = end_off_m(&seen, at, slip);
+            assert!(off_m < 0.05, "{slip:?} at {at}: {off_m} m");
+        }
+    }
+}
+
+/// As many faces of equal boxes fit one box farther on; that the last ones are missing there tells.
+#[test]
+fn a_slip_along_an_aisle_of_equal_boxes_is_found() {
+    let mut world = World::default();
+    world.room([0.0, -3.0, 16.0, 3.0], 3.5);
+    for (k, y) in (0..11).flat_map(|k| [(k, 1.7), (k, -1.7)]) {
+        world.standing(2.5 + 1.1 * f64::from(k), y, [0.6, 0.6, 0.9], 0.0);
+    }
+    let way: Vec<_> = (0..9).map(|k| (1.0 + 0.45 * f64::from(k), 0.0, 0.0)).collect();
+    let seen = along(&world, &way);
+    for at in 3..7 {
+        for slip_m in [-0.7, -0.55, 0.55] {
+            let off_m = end_off_m(&seen, at, [slip_m, 0.0]);
+            assert!(off_m < 0.05, "{slip_m} m at {at}: {off_m} m");
+        }
+    }
+}
+
 #[test]
 fn a_slip_along_a_corridor_of_equal_doors_is_found() {
     let way = [0.0, 0.7, 1.4, 2.1, 2.8, 3.5, 4.2].map(|x| (x, 0.1, 2.0 * x - 4.0));
