@@ -22,6 +22,8 @@ const WIDENING: f64 = 6.5;
 const SLIPPED: f64 = 20.0;
 /// Most that the standard deviation of a motion over the ground is widened to, in metres.
 const WIDEST_M: f64 = 0.5;
+/// A motion that is told to be less is none on which wheels slip along a row of like things.
+const STILL_M: f64 = 0.1;
 /// Pairs below which a scan is tried again with a widened motion.
 const FEW_PAIRS: usize = 3;
 /// The same for wheels that slip or stick for a moment.
@@ -254,8 +256,10 @@ impl<'a> Fork<'a> {
         }
         // Among many like surfaces so much fits within a wide circle that the search does not come to all of it.
         // Along a row of like things as many fit a place beside the true one, against which the map speaks.
-        let least_beside =
-            if doubts.displaced || !convinces { least_slipped.min(nearly) } else { least_slipped };
+        // Wheels that hardly turned do not slip by much: what is elsewhere has moved itself.
+        let is_still = self.arrival.motion.translation.vector.norm() < STILL_M;
+        let may_slip = !is_still && (doubts.displaced || !convinces);
+        let least_beside = if may_slip { least_slipped.min(nearly) } else { least_slipped };
         let mut claims = Vec::new();
         for world_from_robot in self.estimate.beside(self.arrival, FAR_M.0, FAR_RAD.0) {
             let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
