@@ -23,8 +23,8 @@ const LARGE_M2: f64 = 4.0;
 /// Share of its area that a landmark has which is taken for a large observation without a question: the edge of
 /// a shelf is in one plane with a wall that slipped wheels put there.
 const KNOWN_PART: f64 = 0.5;
-/// What such a one that is not recognised may be off a parallel landmark: had it been the same wall, it would
-/// have been recognised, whatever the pose leaves open.
+/// How far such a one that is not recognised may be behind a parallel landmark: had it been the same wall, it
+/// would have been recognised, whatever the pose leaves open. Before it, a board may have been put up.
 const SAME_WALL_M: f64 = 0.05;
 /// Logarithm of how seldom such a one lies where it cannot be.
 const LOG_MISPLACED: f64 = -10.0;
@@ -216,7 +216,10 @@ fn held_against(
             let said = if denied(wall.landmark.id) {
                 Said::Another
             } else if is_large && taken.is_none() {
-                Said::AnotherWall
+                let is_seen = |wall: &Wall<'_>| {
+                    assignment.pairs.iter().any(|pair| Some(pair.1) == wall.plane)
+                };
+                if is_seen(wall) { Said::Before } else { Said::AnotherWall }
             } else {
                 Said::Nothing
             };
@@ -260,6 +263,8 @@ enum Said {
     Another,
     /// That it is no wall of the map, large as it is.
     AnotherWall,
+    /// The same of a wall that the scan shows beside it: what is before that has come there.
+    Before,
 }
 
 /// What a landmark says against a point.
@@ -312,6 +317,9 @@ impl<'a, 'w> Against<'a, 'w> {
         if target.z >= self.before_m || (target.z > 0.0 && !self.parallel) {
             return (Refutation::None, None);
         }
+        if target.z > 0.0 && self.said == Said::Before {
+            return (Refutation::None, None);
+        }
         let is_there = |crossing: &Point3<f64>| {
             self.mask.contains_well(&(self.observed_from_wall * crossing).xy())
         };
@@ -322,7 +330,7 @@ impl<'a, 'w> Against<'a, 'w> {
             |margin_m| self.wall.refuted_at(&target, margin_m, self.before_m, would_hide);
         let margin_m = match self.said {
             Said::Another => 0.0,
-            Said::AnotherWall if self.parallel => SAME_WALL_M,
+            Said::AnotherWall | Said::Before if self.parallel && target.z < 0.0 => SAME_WALL_M,
             _ => self.wall.ray_margin_m(&target),
         };
         if let Some(at) = refuted_at(margin_m) {
