@@ -132,7 +132,7 @@ pub(super) fn weigh(
             may_have_moved.then(|| estimate.moved(scan, option, &claim.assignment, &against.by));
         if let Some(found) = found.flatten() {
             best += found.log_there;
-            let all = Gone { landmarks: found.landmarks.clone(), openings: Vec::new() };
+            let all = Gone { landmarks: found.landmarks.clone(), ..Gone::default() };
             let without = held_against(&all);
             let other = score(&without) + found.support;
             if other > best {
@@ -142,16 +142,16 @@ pub(super) fn weigh(
         }
         let most_vanished = if may_have_moved { MOST_VANISHED } else { 0 };
         for _ in 0..most_vanished {
-            let thing = estimate.vanished(option, &claim.assignment, &against.by);
-            if thing.is_empty() {
-                break;
-            }
-            let all = gone.and(&thing);
-            let without = held_against(&all);
-            let other = score(&without) + support + LOG_VANISHED;
-            if other <= best {
-                break;
-            }
+            let vanished = estimate.vanished(option, &claim.assignment, &against.by);
+            let came = Estimate::came(scan, &against.before);
+            let things = [vanished, came].into_iter().filter(|thing| !thing.is_empty());
+            let without = things.map(|thing| {
+                let all = gone.and(&thing);
+                let without = held_against(&all);
+                (score(&without) + support + LOG_VANISHED, without, all)
+            });
+            let likelier = without.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|it| it.0 > best);
+            let Some((other, without, all)) = likelier else { break };
             (against, best, support, gone) = (without, other, support + LOG_VANISHED, all);
         }
         let Claim { prepared, assignment, far, carried, .. } = claim;

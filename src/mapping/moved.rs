@@ -33,6 +33,8 @@ const LOG_MOVED: f64 = -6.0;
 /// metres: a door's leaf. And most things that vanish from one scan to the next.
 const DOOR_M: f64 = 2.6;
 pub(super) const MOST_VANISHED: usize = 2;
+/// Greatest extent, from corner to corner, of a face of a thing that came: a cupboard's, a board's.
+const THING_M: f64 = 3.6;
 /// Logarithm of how seldom one does: as seldom as wheels slip.
 pub(super) const LOG_VANISHED: f64 = -9.0;
 /// Rise of a normal above which a surface is level: floors do not open.
@@ -52,22 +54,24 @@ const LOG_SEEN_THROUGH: f64 = -4.5;
 /// Landmarks that refute points of a scan, and where in their own planes points are seen through them.
 type Refuting = BTreeMap<LandmarkId, Vec<Point2<f64>>>;
 
-/// What is not there any more.
+/// What is not there any more, and what has come.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Gone {
     /// Surfaces as a whole.
     pub(super) landmarks: Vec<LandmarkId>,
     /// Parts of others.
     pub(super) openings: Vec<(LandmarkId, Opening)>,
+    /// Observations of what has come: a cupboard before a wall.
+    pub(super) came: Vec<usize>,
 }
 
 impl Gone {
     pub(super) fn is_empty(&self) -> bool {
-        self.landmarks.is_empty() && self.openings.is_empty()
+        self.len() == 0
     }
 
     pub(super) fn len(&self) -> usize {
-        self.landmarks.len() + self.openings.len()
+        self.landmarks.len() + self.openings.len() + self.came.len()
     }
 
     /// Both.
@@ -75,6 +79,7 @@ impl Gone {
         let mut all = self.clone();
         all.landmarks.extend(&other.landmarks);
         all.openings.extend(&other.openings);
+        all.came.extend(&other.came);
         all
     }
 
@@ -173,7 +178,8 @@ impl Estimate {
                 is_small(face) && !is_seen(face.id) && (face.origin() - at).norm() < DOOR_M
             };
             let faces = refute.keys().filter_map(|&id| self.landmark(id)).filter(is_of_it);
-            return Gone { landmarks: faces.map(|face| face.id).collect(), openings: Vec::new() };
+            let landmarks = faces.map(|face| face.id).collect();
+            return Gone { landmarks, ..Gone::default() };
         }
         if landmark.normal().z.abs() > UPRIGHT {
             return Gone::default();
@@ -188,7 +194,16 @@ impl Estimate {
         let away_m = places.iter().map(|at| (at - centre).norm()).filter(|&m| m < 0.5 * DOOR_M);
         let radius_m = away_m.fold(0.0, f64::max) + RIM_M;
         let openings = vec![(id, Opening { centre, radius_m })];
-        Gone { landmarks: Vec::new(), openings }
+        Gone { openings, ..Gone::default() }
+    }
+
+    /// One thing that has come, of observations that lie before what is mapped: the largest that is no larger than
+    /// what may vanish.
+    pub(super) fn came(scan: &ScanObservations, before: &[usize]) -> Gone {
+        let area_m2 = |index: usize| scan.observations[index].area_m2();
+        let small = before.iter().filter(|&&i| extent_m(&scan.observations[i].hull) < THING_M);
+        let largest = small.max_by(|&&a, &&b| area_m2(a).total_cmp(&area_m2(b)));
+        Gone { came: largest.copied().into_iter().collect(), ..Gone::default() }
     }
 
     /// The shortest way that a face of the map may have gone to be the one that was seen.

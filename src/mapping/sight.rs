@@ -52,6 +52,8 @@ pub(super) struct Contradiction {
     /// Observations that lie for the most part where they cannot be and are not recognised, or large: a wall
     /// before or behind itself is one that was seen from elsewhere, however well the rest fits.
     pub(super) misplaced: usize,
+    /// Those that are not recognised and would have hidden what is behind them.
+    pub(super) before: Vec<usize>,
     /// Landmarks that refute points, in order, and where in their own planes points are seen through them.
     pub(super) by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
 }
@@ -72,7 +74,7 @@ impl Estimate {
     /// over cells of it that were hit they cannot be anything else: two surfaces that close were not
     /// both seen square on. What the pose is uncertain by does not excuse that: it is the very question.
     ///
-    /// What is `gone` is where it was no longer, and contradicts nothing.
+    /// What is `gone` is where it was no longer, and contradicts nothing, nor does what has come.
     ///
     /// Costs samples × landmarks about the scan; asked only where an association is in doubt.
     pub(super) fn contradiction(
@@ -101,6 +103,9 @@ impl Estimate {
             let denied = |landmark: LandmarkId| left_out.contains(&(index, landmark));
             let held = held_against(&walls, scan, prepared, assignment, index, denied);
             found.samples += held.samples;
+            if gone.came.contains(&index) {
+                continue;
+            }
             found.refuted += held.refuted;
             if 2 * held.doubled > held.samples {
                 found.doubled += observation.log_swallowed();
@@ -110,6 +115,9 @@ impl Estimate {
             found.misplaced += usize::from(is_misplaced);
             if is_misplaced && is_large(observation) {
                 found.doubled += LOG_MISPLACED;
+            }
+            if is_free && 2 * held.before > held.samples {
+                found.before.push(index);
             }
             for (landmark, places) in held.by {
                 found.by.entry(landmark).or_default().extend(places);
@@ -186,6 +194,8 @@ struct Held {
     doubled: usize,
     /// Those of the refuted ones where the map does not have what the observation is said to be.
     misplaced: usize,
+    /// Those of them that would have hidden what is behind them.
+    before: usize,
     /// Landmarks that are sure to refute points, and where in their own planes points are seen through them.
     by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
 }
@@ -235,11 +245,12 @@ fn held_against(
         // Where the map has what is said to be seen, it is no news that it has another, too.
         let is_news = || !own.is_some_and(|own| own.solid_at(&(own.plane_from_world * point)));
         held.samples += 1;
-        let mut most = Refutation::None;
+        let (mut most, mut is_behind) = (Refutation::None, false);
         for wall in &against {
             let (verdict, through) = wall.verdict(&point);
             most = most.max(verdict);
             if verdict == Refutation::Sure {
+                is_behind |= through.is_some();
                 held.by.entry(wall.wall.landmark.id).or_default().extend(through);
             }
         }
@@ -247,6 +258,7 @@ fn held_against(
             Refutation::Sure => {
                 held.refuted += 1;
                 held.misplaced += usize::from(is_news());
+                held.before += usize::from(!is_behind && is_news());
             }
             Refutation::Tight if is_news() => held.doubled += 1,
             _ => {}
