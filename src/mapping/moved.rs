@@ -51,8 +51,8 @@ const BEHIND_PER_M: f64 = 0.015;
 /// Logarithm of how seldom that many are when it still is.
 const LOG_SEEN_THROUGH: f64 = -4.5;
 
-/// Landmarks that refute points of a scan, and where in their own planes points are seen through them.
-type Refuting = BTreeMap<LandmarkId, Vec<Point2<f64>>>;
+/// Landmarks that refute points of a scan, and where in their own planes.
+pub(super) type Places = BTreeMap<LandmarkId, Vec<Point2<f64>>>;
 
 /// What is not there any more, and what has come.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -90,6 +90,18 @@ impl Gone {
     }
 }
 
+/// Where places in a plane lie, but for some that may be the edge of another opening.
+fn opening(places: &[Point2<f64>], widest_m: f64) -> Opening {
+    let middle = |axis: usize| {
+        let mut along: Vec<f64> = places.iter().map(|at| at[axis]).collect();
+        along.sort_unstable_by(f64::total_cmp);
+        along[along.len() / 2]
+    };
+    let centre = Point2::new(middle(0), middle(1));
+    let away_m = places.iter().map(|at| (at - centre).norm()).filter(|&m| m < 0.5 * widest_m);
+    Opening { centre, radius_m: away_m.fold(0.0, f64::max) + RIM_M }
+}
+
 /// A thing that has moved.
 pub(super) struct Moved {
     /// Its faces where they were.
@@ -109,7 +121,7 @@ impl Estimate {
         scan: &ScanObservations,
         prepared: &Prepared,
         assignment: &Assignment,
-        refute: &Refuting,
+        refute: &Places,
     ) -> Option<Moved> {
         let world_from_robot = assignment.belief.world_from_robot;
         let is_free = |index: &usize| assignment.pairs.iter().all(|(paired, _)| paired != index);
@@ -161,7 +173,7 @@ impl Estimate {
         &self,
         prepared: &Prepared,
         assignment: &Assignment,
-        refute: &Refuting,
+        refute: &Places,
     ) -> Gone {
         let seen_through = refute.iter().filter(|(_, places)| !places.is_empty());
         let most = seen_through.max_by(|a, b| a.1.len().cmp(&b.1.len()).then(b.0.cmp(a.0)));
@@ -184,26 +196,18 @@ impl Estimate {
         if landmark.normal().z.abs() > UPRIGHT {
             return Gone::default();
         }
-        // Some of the places may be the edge of another opening.
-        let middle = |axis: usize| {
-            let mut along: Vec<f64> = places.iter().map(|at| at[axis]).collect();
-            along.sort_unstable_by(f64::total_cmp);
-            along[along.len() / 2]
-        };
-        let centre = Point2::new(middle(0), middle(1));
-        let away_m = places.iter().map(|at| (at - centre).norm()).filter(|&m| m < 0.5 * DOOR_M);
-        let radius_m = away_m.fold(0.0, f64::max) + RIM_M;
-        let openings = vec![(id, Opening { centre, radius_m })];
-        Gone { openings, ..Gone::default() }
+        Gone { openings: vec![(id, opening(places, DOOR_M))], ..Gone::default() }
     }
 
-    /// One thing that has come, of observations that lie before what is mapped: the largest that is no larger than
-    /// what may vanish.
-    pub(super) fn came(scan: &ScanObservations, before: &[usize]) -> Gone {
+    /// One thing that has come, of observations that lie `before` what is mapped: the largest that is no larger than
+    /// a thing. What is behind it says nothing against it from now on.
+    pub(super) fn came(scan: &ScanObservations, before: &[(usize, Places)]) -> Gone {
         let area_m2 = |index: usize| scan.observations[index].area_m2();
-        let small = before.iter().filter(|&&i| extent_m(&scan.observations[i].hull) < THING_M);
-        let largest = small.max_by(|&&a, &&b| area_m2(a).total_cmp(&area_m2(b)));
-        Gone { came: largest.copied().into_iter().collect(), ..Gone::default() }
+        let small = before.iter().filter(|it| extent_m(&scan.observations[it.0].hull) < THING_M);
+        let largest = small.max_by(|a, b| area_m2(a.0).total_cmp(&area_m2(b.0)));
+        let Some((index, hides)) = largest else { return Gone::default() };
+        let openings = hides.iter().map(|(&id, places)| (id, opening(places, THING_M))).collect();
+        Gone { openings, came: vec![*index], ..Gone::default() }
     }
 
     /// The shortest way that a face of the map may have gone to be the one that was seen.

@@ -6,12 +6,11 @@ use super::association::Assignment;
 use super::estimate::{Estimate, Prepared};
 use super::landmark::LandmarkId;
 use super::mask::PlaneMask;
-use super::moved::Gone;
+use super::moved::{Gone, Places};
 use super::observation::Observation;
 use super::scan_errors::ScanObservations;
 use super::wall::{DOUBLED_M, LARGE_DOUBLED_M, SIGMAS, Wall};
 use nalgebra::{Isometry3, Matrix3, Matrix6, Point2, Point3, Vector3, Vector6};
-use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 /// Most points of one observation that are looked at.
@@ -52,10 +51,10 @@ pub(super) struct Contradiction {
     /// Observations that lie for the most part where they cannot be and are not recognised, or large: a wall
     /// before or behind itself is one that was seen from elsewhere, however well the rest fits.
     pub(super) misplaced: usize,
-    /// Those that are not recognised and would have hidden what is behind them.
-    pub(super) before: Vec<usize>,
+    /// Those that are not recognised and would have hidden what is behind them, and where that is.
+    pub(super) before: Vec<(usize, Places)>,
     /// Landmarks that refute points, in order, and where in their own planes points are seen through them.
-    pub(super) by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
+    pub(super) by: Places,
 }
 
 impl Contradiction {
@@ -117,7 +116,7 @@ impl Estimate {
                 found.doubled += LOG_MISPLACED;
             }
             if is_free && 2 * held.before > held.samples {
-                found.before.push(index);
+                found.before.push((index, held.hides));
             }
             for (landmark, places) in held.by {
                 found.by.entry(landmark).or_default().extend(places);
@@ -197,7 +196,9 @@ struct Held {
     /// Those of them that would have hidden what is behind them.
     before: usize,
     /// Landmarks that are sure to refute points, and where in their own planes points are seen through them.
-    by: BTreeMap<LandmarkId, Vec<Point2<f64>>>,
+    by: Places,
+    /// Those that points would have hidden, and where.
+    hides: Places,
 }
 
 impl Held {
@@ -247,11 +248,15 @@ fn held_against(
         held.samples += 1;
         let (mut most, mut is_behind) = (Refutation::None, false);
         for wall in &against {
-            let (verdict, through) = wall.verdict(&point);
+            let (verdict, place) = wall.verdict(&point);
             most = most.max(verdict);
-            if verdict == Refutation::Sure {
-                is_behind |= through.is_some();
-                held.by.entry(wall.wall.landmark.id).or_default().extend(through);
+            let Some(place) = place else { continue };
+            let is_through = place.z < 0.0;
+            is_behind |= is_through;
+            let id = wall.wall.landmark.id;
+            held.by.entry(id).or_default().extend(is_through.then_some(place.xy()));
+            if !is_through {
+                held.hides.entry(id).or_default().push(place.xy());
             }
         }
         match most {
@@ -321,9 +326,9 @@ impl<'a, 'w> Against<'a, 'w> {
         Self { wall, parallel, said, centre, gap, mask, observed_from_wall, before_m }
     }
 
-    /// Whether a point of the observation, in the world, cannot be where it is, and where it is seen through the
-    /// landmark, in its plane: nothing that opens excuses what is before it.
-    fn verdict(&self, point: &Point3<f64>) -> (Refutation, Option<Point2<f64>>) {
+    /// Whether a point of the observation, in the world, cannot be where it is, and where in the landmark's plane it
+    /// is seen through that, or would have hidden it; z is how far before the plane it is.
+    fn verdict(&self, point: &Point3<f64>) -> (Refutation, Option<Point3<f64>>) {
         let target = self.wall.plane_from_world * point;
         // Most points lie well before most surfaces: no margin would change that.
         if target.z >= self.before_m || (target.z > 0.0 && !self.parallel) {
@@ -346,7 +351,7 @@ impl<'a, 'w> Against<'a, 'w> {
             _ => self.wall.ray_margin_m(&target),
         };
         if let Some(at) = refuted_at(margin_m) {
-            return (Refutation::Sure, (target.z < 0.0).then_some(at));
+            return (Refutation::Sure, Some(Point3::new(at.x, at.y, target.z)));
         }
         let gap = self.gap.filter(|_| self.said != Said::Another);
         let tight = gap.and_then(|gap| refuted_at(self.gap_margin_m(&gap, &target, margin_m)));
