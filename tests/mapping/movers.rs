@@ -166,6 +166,32 @@ fn a_robot_that_is_set_down_among_mapped_rooms_finds_the_one() {
     }
 }
 
+/// A cupboard that is put before a wall of a bare room is not that wall, however far off it would have the robot.
+#[test]
+fn a_cupboard_that_comes_before_a_wall_is_not_the_wall() {
+    let room = |depth_m: Option<f64>| {
+        let mut world = World::default();
+        world.room((0.0, 5.0), (-2.0, 2.0), 2.6);
+        if let Some(depth_m) = depth_m {
+            world.block((5.0 - 0.5 * depth_m, 0.0), (depth_m, 2.2, 2.3), 0.0);
+        }
+        world
+    };
+    for (depth_m, turn_deg) in [(0.15, 0.0), (0.15, 20.0), (0.3, 20.0), (0.5, 20.0)] {
+        let seen = |scan: usize| {
+            let at = step(1.6, 0.1, turn_deg * scan as f64);
+            (room((scan >= 18).then_some(depth_m)), at)
+        };
+        let worlds: Vec<_> = (0..24).map(seen).collect();
+        for seed in 0..3 {
+            for end in 18..24 {
+                let off_m = through(&worlds[..=end], seed);
+                assert!(off_m < 0.02, "{depth_m} m, {turn_deg} deg, {seed}: {off_m} m at {end}");
+            }
+        }
+    }
+}
+
 /// Encoders that are dead tell of rest whatever the robot does.
 #[test]
 fn odometry_that_always_tells_of_rest_is_found_out() {
