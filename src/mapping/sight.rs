@@ -17,16 +17,16 @@ use std::f64::consts::TAU;
 const SAMPLES_PER_PLANE: usize = 40;
 /// What parallel surfaces may be apart by and yet be one, beside what the pair leaves open: no floor is even.
 const EVEN_M: f64 = 0.02;
-/// Area above which an observation is no thing that came where it is meanwhile, in square metres.
+/// Area above which an observation is more likely a wall than a thing, in square metres.
 const LARGE_M2: f64 = 4.0;
+/// Logarithm of how seldom such a one lies where it cannot be.
+const LOG_MISPLACED: f64 = -10.0;
 /// Share of its area that a landmark has which is taken for a large observation without a question: the edge of
 /// a shelf is in one plane with a wall that slipped wheels put there.
 const KNOWN_PART: f64 = 0.5;
-/// How far such a one that is not recognised may be behind a parallel landmark: had it been the same wall, it
-/// would have been recognised, whatever the pose leaves open. Before it, a board may have been put up.
+/// How far a large observation that is not recognised may be behind a parallel landmark: had it been the same
+/// wall, it would have been recognised, whatever the pose leaves open. Before it, a board may have been put up.
 const SAME_WALL_M: f64 = 0.05;
-/// Logarithm of how seldom such a one lies where it cannot be.
-const LOG_MISPLACED: f64 = -10.0;
 /// Standard deviation of a wheel's height above the surface that it stands on: a tyre, a carpet, the
 /// fit of a floor. The pose's own adds to it.
 const WHEEL_SIGMA_M: f64 = 0.02;
@@ -179,7 +179,7 @@ impl Estimate {
     }
 }
 
-/// Whether an observation is no thing that came where it is meanwhile.
+/// Whether an observation is more likely a wall than a thing.
 fn is_large(observation: &Observation) -> bool {
     observation.mask.area_m2() > LARGE_M2
 }
