@@ -89,6 +89,16 @@ impl Assignment {
         Self { pairs: Vec::new(), support: 0.0, belief: predicted.clone(), pairing: false }
     }
 
+    /// The plane of the belief that an observation is taken for.
+    pub(super) fn plane_of(&self, observation: usize) -> Option<usize> {
+        self.pairs.iter().find(|pair| pair.0 == observation).map(|pair| pair.1)
+    }
+
+    /// Whether any observation is taken for a plane of the belief.
+    pub(super) fn shows(&self, plane: usize) -> bool {
+        self.pairs.iter().any(|pair| pair.1 == plane)
+    }
+
     /// How it moves the robot beside the planes that it takes for seen.
     pub(super) fn shift_from(&self, predicted: &Belief) -> Shift {
         Shift::between(predicted, &self.belief, self.pairs.iter().map(|pair| pair.1))
@@ -252,8 +262,7 @@ impl Question<'_> {
         config: &AssociationConfig,
     ) -> Vec<Verdict> {
         let mut order: Vec<usize> = (0..self.observations.len()).collect();
-        let is_paired =
-            |&observation: &usize| assignment.pairs.iter().any(|pair| pair.0 == observation);
+        let is_paired = |&observation: &usize| assignment.plane_of(observation).is_some();
         order.sort_by_key(|observation| {
             let points = self.observations[*observation].points;
             (!is_paired(observation), std::cmp::Reverse(points), *observation)
@@ -396,8 +405,7 @@ impl Question<'_> {
     /// against it: the place beside a wall at which that wall fits is the likelier one.
     pub(super) fn beside_pairs(&self, assignment: &Assignment, config: &AssociationConfig) -> f64 {
         let belief = &assignment.belief;
-        let is_free =
-            |observation: &usize| assignment.pairs.iter().all(|pair| pair.0 != *observation);
+        let is_free = |&observation: &usize| assignment.plane_of(observation).is_none();
         let of_observation = |observation: usize| {
             let (mut piece, mut is_doubtful) = (None, false);
             for &plane in &self.candidates[observation] {

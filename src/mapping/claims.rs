@@ -88,6 +88,11 @@ impl Judged {
         self.score >= 0.0 && self.refuted <= REFUTED_SHARE && self.misplaced == 0 && !is_excused
     }
 
+    /// Whether it stands and nothing but what is tolerated speaks against it.
+    pub(super) fn convinces(&self) -> bool {
+        self.stands() && self.refuted <= TOLERATED_SHARE
+    }
+
     /// Whether the map speaks against it, but for what is said to be gone.
     pub(super) fn is_denied(&self) -> bool {
         self.denied > REFUTED_SHARE

@@ -6,8 +6,8 @@
 
 use super::association::{Assignment, AssociationConfig, Verdict};
 use super::claims::{
-    Claim, Judged, LOG_SELDOM, SAME_M, SAME_RAD, TOLERATED_SHARE, judge, moves_far,
-    recognised_share, upright_share, weigh,
+    Claim, Judged, LOG_SELDOM, SAME_M, SAME_RAD, judge, moves_far, recognised_share, upright_share,
+    weigh,
 };
 use super::estimate::{Arrival, Estimate, Prepared};
 use super::moved::Gone;
@@ -26,7 +26,7 @@ const WIDEST_M: f64 = 0.5;
 const STILL_M: f64 = 0.1;
 /// Pairs below which a scan is tried again with a widened motion.
 const FEW_PAIRS: usize = 3;
-/// The same for wheels that slip or stick for a moment.
+/// Logarithm of how seldom wheels slip or stick for a moment.
 const LOG_SLIPPED: f64 = -9.0;
 /// The same for encoders that are dead: they tell of rest whatever the robot does.
 const LOG_DEAD: f64 = -9.0;
@@ -155,7 +155,7 @@ impl<'a> Fork<'a> {
         let judged = judge(weighed.clone(), arrival.scan);
         let best = judged.iter().max_by(|a, b| a.score.total_cmp(&b.score));
         let stands = best.is_some_and(Judged::stands);
-        let convinces = stands && best.is_some_and(|best| best.refuted <= TOLERATED_SHARE);
+        let convinces = best.is_some_and(Judged::convinces);
         let is_denied = best.is_some_and(Judged::is_denied);
         let mut elsewhere = false;
         if !convinces || doubts.few || doubts.lost || doubts.displaced {
@@ -254,12 +254,12 @@ impl<'a> Fork<'a> {
                 return found;
             }
         }
-        // Among many like surfaces so much fits within a wide circle that the search does not come to all of it.
         // Along a row of like things as many fit a place beside the true one, against which the map speaks.
         // Wheels that hardly turned do not slip by much: what is elsewhere has moved itself.
         let is_still = self.arrival.motion.translation.vector.norm() < STILL_M;
         let may_slip = !is_still && (doubts.displaced || !convinces);
         let least_beside = if may_slip { least_slipped.min(nearly) } else { least_slipped };
+        // Among many like surfaces so much fits within a wide circle that the search does not come to all of it.
         let mut claims = Vec::new();
         for world_from_robot in self.estimate.beside(self.arrival, FAR_M.0, FAR_RAD.0) {
             let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);

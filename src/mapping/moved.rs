@@ -33,10 +33,10 @@ const LOG_MOVED: f64 = -6.0;
 /// metres: a door's leaf. And most things that vanish from one scan to the next.
 const DOOR_M: f64 = 2.6;
 pub(super) const MOST_VANISHED: usize = 2;
+/// Logarithm of how seldom one does, or comes: as seldom as wheels slip.
+pub(super) const LOG_VANISHED: f64 = -9.0;
 /// Greatest extent, from corner to corner, of a face of a thing that came: a cupboard's, a board's.
 const THING_M: f64 = 3.6;
-/// Logarithm of how seldom one does: as seldom as wheels slip.
-pub(super) const LOG_VANISHED: f64 = -9.0;
 /// Rise of a normal above which a surface is level: floors do not open.
 const UPRIGHT: f64 = 0.8;
 /// How far an opening goes on beyond what was seen through it, in metres.
@@ -124,7 +124,7 @@ impl Estimate {
         refute: &Places,
     ) -> Option<Moved> {
         let world_from_robot = assignment.belief.world_from_robot;
-        let is_free = |index: &usize| assignment.pairs.iter().all(|(paired, _)| paired != index);
+        let is_free = |&index: &usize| assignment.plane_of(index).is_none();
         let small = (0..scan.observations.len()).filter(is_free).filter_map(|index| {
             let seen = &scan.observations[index];
             (extent_m(&seen.hull) < LARGEST_M).then_some(seen)

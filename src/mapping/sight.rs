@@ -109,10 +109,10 @@ impl Estimate {
             if 2 * held.doubled > held.samples {
                 found.doubled += observation.log_swallowed();
             }
-            let is_free = assignment.pairs.iter().all(|pair| pair.0 != index);
-            let is_misplaced = (is_free || is_large(observation)) && held.is_misplaced();
+            let (is_free, is_large) = (assignment.plane_of(index).is_none(), is_large(observation));
+            let is_misplaced = (is_free || is_large) && held.is_misplaced();
             found.misplaced += usize::from(is_misplaced);
-            if is_misplaced && is_large(observation) {
+            if is_misplaced && is_large {
                 found.doubled += LOG_MISPLACED;
             }
             if is_free && 2 * held.before > held.samples {
@@ -136,10 +136,10 @@ impl Estimate {
     ) -> bool {
         let outgrows = |index: usize| {
             let observation = &scan.observations[index];
-            let taken = || assignment.pairs.iter().find(|pair| pair.0 == index);
-            let least_m2 = KNOWN_PART * observation.mask.area_m2();
-            let landmark = || self.landmark(prepared.landmark_of(taken()?.1));
-            is_large(observation) && landmark().is_some_and(|it| it.mask.area_m2() < least_m2)
+            let landmark = || self.landmark(prepared.landmark_of(assignment.plane_of(index)?));
+            let is_part =
+                |known: &PlaneMask| known.area_m2() < KNOWN_PART * observation.mask.area_m2();
+            is_large(observation) && landmark().is_some_and(|it| is_part(&it.mask))
         };
         let asked: Vec<usize> = (0..scan.observations.len())
             .filter(|&index| is_unknown(index) || outgrows(index))
@@ -218,7 +218,7 @@ fn held_against(
 ) -> Held {
     let observation = &scan.observations[index];
     let world_from_plane = assignment.belief.world_from_robot * observation.robot_from_plane;
-    let taken = assignment.pairs.iter().find(|pair| pair.0 == index).map(|pair| pair.1);
+    let taken = assignment.plane_of(index);
     let is_large = is_large(observation);
     let before_m = if is_large { LARGE_DOUBLED_M } else { DOUBLED_M };
     let against: Vec<Against<'_, '_>> = walls
@@ -227,10 +227,8 @@ fn held_against(
             let said = if denied(wall.landmark.id) {
                 Said::Another
             } else if is_large && taken.is_none() {
-                let is_seen = |wall: &Wall<'_>| {
-                    assignment.pairs.iter().any(|pair| Some(pair.1) == wall.plane)
-                };
-                if is_seen(wall) { Said::Before } else { Said::AnotherWall }
+                let is_seen = wall.plane.is_some_and(|plane| assignment.shows(plane));
+                if is_seen { Said::Before } else { Said::AnotherWall }
             } else {
                 Said::Nothing
             };
@@ -261,9 +259,10 @@ fn held_against(
         }
         match most {
             Refutation::Sure => {
+                let is_news = is_news();
                 held.refuted += 1;
-                held.misplaced += usize::from(is_news());
-                held.before += usize::from(!is_behind && is_news());
+                held.misplaced += usize::from(is_news);
+                held.before += usize::from(is_news && !is_behind);
             }
             Refutation::Tight if is_news() => held.doubled += 1,
             _ => {}

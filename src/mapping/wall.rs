@@ -14,7 +14,7 @@ pub(super) const SIGMAS: f64 = 3.0;
 const BEHIND_M: f64 = 0.15;
 const BEHIND_PER_M: f64 = 0.015;
 /// A surface up to this far before a parallel one cannot be where it would have hidden that one; a large one,
-/// which did not come there meanwhile, up to the second.
+/// which is more likely a wall than a thing, up to the second.
 pub(super) const DOUBLED_M: f64 = 0.6;
 pub(super) const LARGE_DOUBLED_M: f64 = 1.5;
 const PARALLEL_COSINE: f64 = 0.99;
