@@ -75,16 +75,13 @@ impl Whole {
         before: &VecDeque<Seen>,
         expected: &Expected,
     ) -> Option<Doubt> {
-        let changes = Changes::between(&self.first.line, &seen.line);
-        let (crept, tolerance) = match self.telling.is_empty() {
-            true => (false, changes.tolerance()),
-            false => Changes::of_beams(&self.first.line, &seen.line, &self.telling),
-        };
-        // Where many beams should have changed, and on average did not, some at edges are no change.
-        let few = FEW.max(self.telling.len() / EDGES);
-        if crept || changes.changed > few {
+        // The line before may tell what the first does not: past the corner where a floor ends at a wall the
+        // ranges come down again to where they were.
+        let (first, last) =
+            (self.change_from(&self.first, seen), self.change_from(&self.last, seen));
+        let (Some(tolerance), Some(_)) = (first, last) else {
             return self.begin_anew(seen, before);
-        }
+        };
         self.lines += 1;
         self.is_blind &= self.telling.is_empty()
             && matches!(
@@ -98,6 +95,19 @@ impl Whole {
         let (least, most) = self.others_rad.unwrap_or((f64::INFINITY, f64::NEG_INFINITY));
         self.others_rad = Some((least.min(seen.span_rad.1), most.max(seen.span_rad.0)));
         None
+    }
+
+    /// What the logarithm of a range may differ by where a line is the same as an earlier one; `None` where it
+    /// is not.
+    fn change_from(&self, earlier: &Seen, seen: &Seen) -> Option<f64> {
+        let changes = Changes::between(&earlier.line, &seen.line);
+        let (crept, tolerance) = match self.telling.is_empty() {
+            true => (false, changes.tolerance()),
+            false => Changes::of_beams(&earlier.line, &seen.line, &self.telling),
+        };
+        // Where many beams should have changed, and on average did not, some at edges are no change.
+        let few = FEW.max(self.telling.len() / EDGES);
+        (!crept && changes.changed <= few).then_some(tolerance)
     }
 
     fn begin_anew(&mut self, seen: &Seen, before: &VecDeque<Seen>) -> Option<Doubt> {
@@ -135,16 +145,18 @@ impl Whole {
     }
 
     /// Whether an upright wall ahead would have changed, as it hardly does about level: in an empty room
-    /// nothing else is in sight there.
+    /// nothing else is in sight there. One that leans so that the tilt passes its perpendicular half way, or
+    /// looks so because the laser sits above the tilt's axle, changes least.
     fn would_change_upright(&self) -> bool {
         let (least, most) = self.ends_rad();
-        least < most
-            && [-LEAN_RAD, 0.0, LEAN_RAD].into_iter().all(|lean_rad| {
-                let facing_rad = self.level_rad + lean_rad;
-                let log_range = |tilt_rad: f64| -(tilt_rad - facing_rad).cos().max(0.05).ln();
-                let nearest = log_range(facing_rad.clamp(least, most));
-                log_range(least).max(log_range(most)) - nearest >= CERTAIN * self.tolerance
-            })
+        if least >= most {
+            return false;
+        }
+        let (leans_back, leans_over) = (self.level_rad - LEAN_RAD, self.level_rad + LEAN_RAD);
+        let facing_rad = (0.5 * (least + most)).clamp(leans_back, leans_over);
+        let log_range = |tilt_rad: f64| -(tilt_rad - facing_rad).cos().max(0.05).ln();
+        let nearest = log_range(facing_rad.clamp(least, most));
+        log_range(least).max(log_range(most)) - nearest >= CERTAIN * self.tolerance
     }
 
     /// What is doubted if these lines end here, with much of a change or without.
