@@ -46,7 +46,7 @@ impl Observation {
         let robot_from_plane = robot_from_grid * patch.grid_from_plane;
         let usable = patch.hull.len() >= 3
             && patch.covariance.iter().all(|entry| entry.is_finite())
-            && (0..3).all(|i| patch.covariance[(i, i)] > 0.0)
+            && patch.covariance.cholesky().is_some()
             && robot_from_plane.translation.vector.iter().all(|entry| entry.is_finite());
         usable.then(|| Self {
             robot_from_plane,
@@ -132,7 +132,8 @@ pub fn observations(
                 let sigma_rad = sigmas_rad.get(row).map_or(0.0, |&sigma_rad| f64::from(sigma_rad));
                 let pull = painter.rows.add(row, sigma_rad, &point, &painter.place(&point));
                 if let Some(rounding_errors) = &mut rounding_errors {
-                    rounding_errors.add((row, column), slot, pull * painter.slope(&point));
+                    let (slope, own_m2) = (painter.slope(&point), painter.rows.own_m2());
+                    rounding_errors.add((row, column), slot, (pull, slope, own_m2));
                 }
             }
             here[column] = (slot, spot);
@@ -149,6 +150,8 @@ pub fn observations(
         let (observation, painter) = found?;
         let of_rounding = of_rounding.as_ref().map_or(Matrix3::zeros(), |of| of[slot]);
         let covariance = observation.covariance + painter.rows.covariance(&of_rounding);
+        // The map divides by it: what cannot be told is no observation.
+        covariance.cholesky()?;
         Some(Observation { covariance, mask: painter.builder.finish(), ..observation })
     };
     found.into_iter().enumerate().filter_map(with_errors).collect()

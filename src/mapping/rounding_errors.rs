@@ -8,6 +8,10 @@
 use crate::scan::Rounding;
 use nalgebra::{Matrix3, Vector3};
 
+/// Most of a point's own noise that is taken for the cutting of its range. Where neighbours err alike they fit
+/// one another better than each of them is known, so that their noise is less than what cutting does.
+const COUNTED: f64 = 0.5;
+
 /// Connected cells of one patch with the same reading.
 #[derive(Clone, Copy, Debug)]
 struct Level {
@@ -15,9 +19,11 @@ struct Level {
     parent: usize,
     /// The patch.
     slot: usize,
-    /// What a metre of range adds to the right side of the patch's normal equations, summed over the
-    /// points, and the sum of the squares of what each adds.
+    /// What the cutting of one range adds to the right side of the patch's normal equations, by its standard
+    /// deviation, summed over the points.
     pull: Vector3<f64>,
+    /// What the points' own noise adds for it already: the sum of the squares of what each is moved by, up to
+    /// [`COUNTED`] of that noise.
     each: Matrix3<f64>,
 }
 
@@ -43,9 +49,17 @@ impl<'a> RoundingErrors<'a> {
         Self { rounding, columns, levels: Vec::new(), level_of_cell: Vec::new() }
     }
 
-    /// Adds the cell at `row` and `column`, row after row, as a point of the patch `slot` whose range
-    /// moves the right side of the patch's normal equations by `pull` a metre.
-    pub(super) fn add(&mut self, (row, column): (usize, usize), slot: usize, pull: Vector3<f64>) {
+    /// Adds the cell at `row` and `column`, row after row, as a point of the patch `slot` that moves the right
+    /// side of the patch's normal equations by `pull` a metre across the patch, its range by `slope` of that. By
+    /// itself it errs across it by a variance of `own_m2`.
+    pub(super) fn add(
+        &mut self,
+        (row, column): (usize, usize),
+        slot: usize,
+        (pull, slope, own_m2): (Vector3<f64>, f64, f64),
+    ) {
+        let cut_m = slope * self.rounding.sigma_m();
+        let counted_m2 = (cut_m * cut_m).min(COUNTED * own_m2);
         let cell = row * self.columns + column;
         let left = if column > 0 { self.level_alike(cell, cell - 1, slot) } else { None };
         let above = cell.checked_sub(self.columns);
@@ -55,7 +69,8 @@ impl<'a> RoundingErrors<'a> {
             (Some(only), None) | (None, Some(only)) => only,
             (None, None) => self.levels.len(),
         };
-        let point = Level { parent: level, slot, pull, each: pull * pull.transpose() };
+        let each = pull * pull.transpose() * counted_m2;
+        let point = Level { parent: level, slot, pull: pull * cut_m, each };
         match self.levels.get_mut(level) {
             Some(known) => known.add(&point),
             None => self.levels.push(point),
@@ -89,14 +104,13 @@ impl<'a> RoundingErrors<'a> {
         level
     }
 
-    /// Covariance of the right side of each of `patches` normal equations, beyond what the points'
-    /// errors would give it if each had its own.
+    /// Covariance of the right side of each of `patches` normal equations, beyond what the points' own noise
+    /// gives it: negative by at most [`COUNTED`] of that.
     pub(super) fn of_right_sides(&self, patches: usize) -> Vec<Matrix3<f64>> {
         let mut right = vec![Matrix3::zeros(); patches];
         for (place, level) in self.levels.iter().enumerate() {
             if level.parent == place {
-                let together = level.pull * level.pull.transpose() - level.each;
-                right[level.slot] += together * self.rounding.sigma_m().powi(2);
+                right[level.slot] += level.pull * level.pull.transpose() - level.each;
             }
         }
         right
@@ -107,7 +121,7 @@ impl<'a> RoundingErrors<'a> {
 mod tests {
     use super::super::observations;
     use crate::scan::PointGrid;
-    use crate::segmentation::{SegmentationConfig, Segmenter};
+    use crate::segmentation::{SegmentationConfig, Segmenter, Shape, Surface};
     use nalgebra::{Isometry3, Vector3};
     use rand_core::{Rng, SeedableRng};
     use rand_pcg::Pcg64;
@@ -116,12 +130,22 @@ mod tests {
 
     /// A wall ahead as a laser sees it, its ranges cut to the middle of their step or left as they are.
     fn wall(offset_m: f64, normal: &Vector3<f64>, is_cut: bool, rng: &mut Pcg64) -> PointGrid {
-        let (rows, columns) = (40, 17);
+        wall_of((40, 17), offset_m, normal, is_cut, rng)
+    }
+
+    fn wall_of(
+        (rows, columns): (u16, u16),
+        offset_m: f64,
+        normal: &Vector3<f64>,
+        is_cut: bool,
+        rng: &mut Pcg64,
+    ) -> PointGrid {
         let (mut points, mut ranges) = (Vec::new(), Vec::new());
         for row in 0..rows {
-            let tilt = (0.3 * f64::from(row) - 6.0).to_radians();
+            let tilt = (0.3 * f64::from(row) - 0.15 * f64::from(rows)).to_radians();
             for column in 0..columns {
-                let (sin, cos) = (f64::from(column) - 8.0).to_radians().sin_cos();
+                let bearing = f64::from(column) - f64::from(columns / 2);
+                let (sin, cos) = bearing.to_radians().sin_cos();
                 let ray = Vector3::new(cos * tilt.cos(), sin, -cos * tilt.sin());
                 let noise: f64 = (0..12).map(|_| f64::from(rng.next_u32()) / 2_f64.powi(32)).sum();
                 let mut range = offset_m / normal.dot(&ray) + 2e-4 * (noise - 6.0);
@@ -133,7 +157,32 @@ mod tests {
                 ranges.push(range as f32);
             }
         }
-        PointGrid::new(rows as usize, columns as usize, points).with_ranges(&ranges)
+        PointGrid::new(rows.into(), columns.into(), points).with_ranges(&ranges)
+    }
+
+    #[test]
+    fn ranges_that_are_cut_alike_do_not_make_a_plane_better_known() {
+        let mut noise = Pcg64::seed_from_u64(13);
+        let mut segmenter = Segmenter::new(SegmentationConfig::default());
+        let mut planes = 0_isize;
+        for (rows, columns) in [(4, 9), (8, 5), (8, 9), (16, 7)] {
+            for step in 0..50 {
+                let offset_m = 1.0 + 0.0637 * f64::from(step);
+                let normal = Vector3::new(1.0, 0.02, 0.01).normalize();
+                let grid = wall_of((rows, columns), offset_m, &normal, true, &mut noise);
+                let segmentation = segmenter.segment(&grid);
+                for seen in observations(segmentation, &grid, &Isometry3::identity()) {
+                    let surface = segmentation.surfaces.iter().find(|it| it.points == seen.points);
+                    let Shape::Plane(fit) = &surface.unwrap().shape else { panic!("a plane") };
+                    let more = seen.covariance - 0.4 * fit.covariance;
+                    assert!(more.cholesky().is_some(), "{rows} x {columns}, {offset_m}: {more}");
+                    planes += 1;
+                }
+                let fitted = |it: &&Surface| matches!(it.shape, Shape::Plane(_));
+                planes -= segmentation.surfaces.iter().filter(fitted).count() as isize;
+            }
+        }
+        assert_eq!(planes, 0, "no plane goes unseen for want of a covariance");
     }
 
     #[test]

@@ -37,6 +37,11 @@ impl RowErrors {
         }
     }
 
+    /// Variance of a point across the plane by its own noise, in m².
+    pub(super) fn own_m2(&self) -> f64 {
+        self.own_m2
+    }
+
     /// Adds a point of a row, in the grid's frame and in the patch's; row after row. Returns what a unit
     /// of its displacement across the plane adds to the right side of the normal equations.
     pub(super) fn add(
