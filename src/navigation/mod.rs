@@ -6,7 +6,8 @@
 //! [`Recovery`] deal with what goes wrong, [`Trail`] remembers the way back and [`Swath`] the ground
 //! that the line has swept.
 //!
-//! All of it drives on seen or assumed ground only, and backwards only along the robot's own track.
+//! All of it drives on seen or assumed ground only, and backwards only along the robot's own track, or, to get
+//! free, a little way over ground that was seen closely.
 
 mod cost_map;
 mod follow;

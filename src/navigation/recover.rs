@@ -7,7 +7,7 @@ use crate::terrain::{Grid, RobotShape};
 use crate::time::{Arrival, Span};
 use serde::{Deserialize, Serialize};
 
-/// Speed of creeping ahead in m/s: slow enough to stop within a cell.
+/// Speed of creeping ahead or back in m/s: slow enough to stop within a cell.
 const EASE_MPS: f64 = 0.08;
 
 /// Bounds of each rung of the ladder.
@@ -22,7 +22,7 @@ pub struct RecoveryConfig {
     pub back_farther_m: f64,
     /// Speed of backing out in m/s. (0, 0.5]
     pub back_mps: f64,
-    /// Distance to creep straight ahead where there is no room to turn, in metres. [0.1, 1]
+    /// Distance to creep straight ahead or back where there is no room to turn, in metres. [0.1, 1]
     pub ease_m: f64,
     /// Turn to either side that is tried to get free, in radians. [0.1, 2]
     pub turn_rad: f64,
@@ -63,6 +63,9 @@ pub enum Rung {
     EaseAhead,
     /// Back out once more, farther.
     BackFarther,
+    /// Creep straight back off its track, which leads elsewhere for a robot that has turned since: only where
+    /// all of the ground was seen closely.
+    EaseBack,
 }
 
 /// What to do now.
@@ -149,7 +152,8 @@ impl Recovery {
                     }
                     back.filter(|_| in_time)
                 }
-                Rung::EaseAhead => {
+                Rung::EaseAhead | Rung::EaseBack => {
+                    let sign = if self.rung == Rung::EaseAhead { 1.0 } else { -1.0 };
                     let rest_m = self.config.ease_m - moved_m;
                     if rest_m < 0.05 {
                         return RecoveryStep::Recovered;
@@ -158,10 +162,10 @@ impl Recovery {
                     let free = !self.leaning
                         && in_time
                         && (1..=steps).all(|step| {
-                            let ahead = pose.driven(0.05 * f64::from(step), 0.0);
-                            self.footprint.conflict_from(grid, &ahead, Some(pose)).is_none()
+                            let there = pose.driven(0.05 * sign * f64::from(step), 0.0);
+                            self.footprint.conflict_from(grid, &there, Some(pose)).is_none()
                         });
-                    free.then_some(DriveCommand { linear_mps: EASE_MPS, angular_rps: 0.0 })
+                    free.then_some(DriveCommand { linear_mps: sign * EASE_MPS, angular_rps: 0.0 })
                 }
                 Rung::TurnLeft | Rung::TurnRight => {
                     let sign = if self.rung == Rung::TurnLeft { 1.0 } else { -1.0 };
@@ -187,7 +191,8 @@ impl Recovery {
                         Rung::TurnLeft => Rung::TurnRight,
                         Rung::TurnRight => Rung::EaseAhead,
                         Rung::EaseAhead => Rung::BackFarther,
-                        Rung::BackFarther => return RecoveryStep::GaveUp,
+                        Rung::BackFarther => Rung::EaseBack,
+                        Rung::EaseBack => return RecoveryStep::GaveUp,
                     };
                     self.since = now;
                     self.from = *pose;
@@ -288,8 +293,8 @@ mod tests {
     fn a_robot_that_cannot_move_gives_up_in_bounded_time() {
         let (end, seconds, rungs, _) = run(STUCK, &track(), 0.0);
         assert_eq!(end, RecoveryStep::GaveUp);
-        assert_eq!(rungs.len(), 6, "every rung was tried: {rungs:?}");
-        assert!(seconds < 48.0);
+        assert_eq!(rungs.len(), 7, "every rung was tried: {rungs:?}");
+        assert!(seconds < 56.0);
     }
 
     #[test]
@@ -297,6 +302,50 @@ mod tests {
         let trouble = Trouble::Tilted { roll_rad: 0.5, pitch_rad: 0.0 };
         let (_, _, rungs, _) = run(trouble, &track(), 0.0);
         assert_eq!(rungs, [Rung::Pause, Rung::BackOut, Rung::BackFarther]);
+    }
+
+    /// A wall across, close before the right fore corner of a robot that came from the left and has turned by
+    /// 74° since: the ground is of `class` from 0.3 m behind its stern on.
+    fn before_a_wall(class: CellClass) -> (Grid, Trail) {
+        let mut cells = vec![open_grid().cells()[0]; 40_000];
+        let track = Pose2 { x_m: 1.95, y_m: 0.0, yaw_rad: -1.3 };
+        let mut trail = Trail::default();
+        for step in 0..20 {
+            trail.note(&track.driven(0.05 * f64::from(step) - 1.0, 0.0));
+        }
+        trail.note(&Pose2 { yaw_rad: -1.3, ..track });
+        for step in 0..40 {
+            trail.note(&Pose2 { yaw_rad: -1.3 + 0.0325 * f64::from(step), ..track });
+        }
+        for (at, cell) in cells.iter_mut().enumerate() {
+            let (x, y) = ((at % 200) as f64 * 0.05 - 5.0, (at / 200) as f64 * 0.05 - 5.0);
+            cell.room_m = 0.3;
+            let (dx, dy) = (x - track.x_m, y - track.y_m);
+            if dx < -0.55 {
+                cell.class = class;
+            }
+            // Close along all sides but the stern.
+            if dx > -0.35 && (dx > 0.26 || dy.abs() > 0.26) {
+                cell.class = CellClass::Occupied;
+            }
+        }
+        (Grid::from_cells(0.05, CellIndex { x: -100, y: -100 }, 200, cells), trail)
+    }
+
+    #[test]
+    fn a_robot_that_has_turned_off_its_track_before_a_wall_creeps_straight_back() {
+        let (grid, trail) = before_a_wall(CellClass::Free);
+        let (end, _, rungs, pose) = run_in(&grid, STUCK, &trail, 1.0);
+        assert_eq!(end, RecoveryStep::Recovered);
+        assert_eq!(rungs.last(), Some(&Rung::EaseBack), "{rungs:?}");
+        assert!(pose.x_m < 1.71 && pose.y_m == 0.0, "{pose:?}");
+        // Not onto what was not seen, let alone over an edge.
+        for class in [CellClass::Unknown, CellClass::Suspect, CellClass::DropOff] {
+            let (grid, trail) = before_a_wall(class);
+            let (end, _, rungs, pose) = run_in(&grid, STUCK, &trail, 1.0);
+            assert_eq!(end, RecoveryStep::GaveUp, "{class:?}");
+            assert!(!rungs.contains(&Rung::EaseBack) && pose.x_m == 1.95, "{class:?}");
+        }
     }
 
     #[test]

@@ -11,8 +11,7 @@ const TURN_RAD: f64 = 0.2;
 /// Crumbs kept: 100 m of track, of which only the last metres are ever driven back.
 const KEPT: usize = 2000;
 
-/// The robot's own track: the only way it drives backwards, because only there it knows the ground
-/// behind it.
+/// The robot's own track: the way it drives backwards, because there it knows the ground behind it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Trail {
     crumbs: Vec<Pose2>,
