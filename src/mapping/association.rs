@@ -126,6 +126,9 @@ const SETTLED_RAD: f64 = 0.0005;
 /// Standard deviation of an offset up to which a patch beside a landmark may be another piece of it. A panel
 /// on a wall is a few centimetres thick.
 const BESIDE_M: f64 = 0.006;
+/// Gate of a further piece of a plane, χ² with 3 degrees of freedom at 95 %: beside a surface there is as often
+/// another one a few millimetres off, and a piece that is left out costs nothing.
+const PIECE_GATE: f64 = 7.815;
 /// Two assignments differ when they put the robot this far apart.
 pub(super) const APART_M: f64 = 0.10;
 /// Most that the tightness of one pair may say for a place. The misfit that a true pair has on average
@@ -297,13 +300,15 @@ impl Question<'_> {
                 continue;
             }
             let distance = rows.distance_squared();
-            let beside = pieces.get(&plane).into_iter().flatten();
-            let apart = beside.map(|&other| self.apart(observation, other)).fold(0.0, f64::max);
-            if distance.max(apart) < config.gate {
+            let beside = pieces.get(&plane).map_or(&[][..], Vec::as_slice);
+            let apart = beside.iter().map(|&other| self.apart(observation, other));
+            let misfit = apart.fold(distance, f64::max);
+            let gate = if beside.is_empty() { config.gate } else { config.gate.min(PIECE_GATE) };
+            if misfit < gate {
                 fitting.push((distance + rows.log_determinant(), distance, plane));
                 pulls |= rows.h.x.abs() > APART_M;
             } else {
-                nearest_miss = nearest_miss.min(distance.max(apart));
+                nearest_miss = nearest_miss.min(misfit);
             }
         }
         fitting.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
