@@ -15,6 +15,9 @@ use serde::{Deserialize, Serialize};
 const ROWS_DEG: f64 = 1.0;
 /// Time beyond what the sweep is thought to take, in seconds: the head may have to come from far.
 const SPARE_S: f64 = 4.0;
+/// Time before the end at which a sweep is handed over as far as it has come, in seconds: how long one takes is
+/// an estimate, and half a sweep tells the place nearly as well as a whole one.
+const HAND_OVER_S: f64 = 1.0;
 /// Way since the last sweep in metres from which another corrects anything.
 const MOVED_M: f64 = 0.02;
 /// Spread of the place believed, in metres, from which another look is worth its time.
@@ -42,6 +45,9 @@ impl Running {
     /// In the last seconds of its time the robot stops, turns to where the map says that its place will show,
     /// looks once more and stays. Returns whether this cycle was used for that.
     pub(super) fn close(&mut self, desk: &mut Desk<'_>) -> bool {
+        if desk.end.is_some_and(|end| (end - desk.now).seconds() <= HAND_OVER_S) {
+            self.hand_over(desk);
+        }
         let is_over = self.mode == Mode::Teleop || self.closing == Closing::Over;
         let Some(end) = desk.end.filter(|_| !is_over) else { return false };
         let looking = matches!(
@@ -63,6 +69,18 @@ impl Running {
                 && self.begin_turn(left_s - needed_s, end, desk);
         }
         self.look_last(end, desk)
+    }
+
+    /// Takes in a sweep that will not be over in time.
+    fn hand_over(&mut self, desk: &mut Desk<'_>) {
+        if !matches!(self.activity, Activity::Sweep) {
+            return;
+        }
+        let acquisition = self.acquisition.as_mut();
+        let scan = acquisition.and_then(|it| it.stop_sweep("the time is up", desk.now));
+        if let Some(scan) = scan {
+            self.finish_sweep(scan, desk);
+        }
     }
 
     fn look_last(&mut self, end: Arrival, desk: &mut Desk<'_>) -> bool {

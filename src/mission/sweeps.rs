@@ -44,7 +44,7 @@ impl Running {
     }
 
     /// A sweep has ended: everything it told enters the belief.
-    fn finish_sweep(&mut self, mut scan: Scan, desk: &mut Desk<'_>) {
+    pub(super) fn finish_sweep(&mut self, mut scan: Scan, desk: &mut Desk<'_>) {
         self.take_phantom_from(&mut scan.image);
         self.ledger.sweep(&scan);
         for remark in &scan.remarks {

@@ -17,6 +17,26 @@ fn the_place_told_at_the_end_is_one_that_a_sweep_corrected() {
 }
 
 #[test]
+fn a_sweep_that_is_not_over_in_time_is_taken_in_as_far_as_it_came() {
+    let mut cut_short = 0;
+    for end_s in [40.0, 44.0, 48.0, 52.0] {
+        // Times that noise leaves unsure make sweeps slow, and how long one takes is an estimate.
+        let mut loaded = scenario(2, end_s);
+        loaded.files.scenario.noise.range_sigma_m = 0.01;
+        let (agent, _) = record(&loaded);
+        let notes = agent.journal().since(0);
+        if notes.iter().any(|note| note.text.ends_with("sweep: the time is up")) {
+            let running = agent.running().unwrap();
+            let (told, known) =
+                (running.ledger().sweeps.len(), running.belief().mapper().keyframes().len());
+            assert!(told > 0 && known == told, "{end_s}: {known} of {told} sweeps");
+            cut_short += 1;
+        }
+    }
+    assert!(cut_short > 0, "no sweep was under way at the end");
+}
+
+#[test]
 fn a_rig_that_tilts_but_never_looks_down_stands_still() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let folder = tempfile::tempdir().unwrap();
