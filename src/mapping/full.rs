@@ -243,6 +243,11 @@ impl Full {
         self.best().sightings(keyframe)
     }
 
+    /// Pose at a scan, by its number; `None` for an unknown one.
+    pub fn keyframe(&self, number: usize) -> Option<Isometry3<f64>> {
+        self.best().pose(number)
+    }
+
     /// Poses at all scans.
     pub fn keyframes(&self) -> Vec<Isometry3<f64>> {
         self.best().poses()

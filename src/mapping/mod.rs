@@ -23,6 +23,7 @@ mod index;
 pub mod innovation;
 mod joint_search;
 mod landmark;
+mod lever;
 pub mod line_alignment;
 mod mask;
 mod mask_builder;
@@ -60,6 +61,7 @@ pub use report::{
 };
 pub use scan_errors::{ScanErrors, ScanObservations, common_error_jacobian, curve_error_jacobian};
 
+use lever::lever_covariance;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
 use odometry_trust::OdometryTrust;
 use serde::{Deserialize, Serialize};
@@ -98,6 +100,8 @@ pub struct Mapper {
     /// Roll, pitch and their standard deviation as last measured.
     attitude: Option<(f64, f64, f64)>,
     trust: OdometryTrust,
+    /// Standard deviation of the sensor's place on the robot in each axis, in metres.
+    mounted_within_m: f64,
     engine: Engine,
 }
 
@@ -138,7 +142,15 @@ impl Mapper {
             }
         };
         let trust = OdometryTrust::default();
-        Self { config, motion: Motion::default(), attitude: None, trust, engine }
+        let motion = Motion::default();
+        Self { config, motion, attitude: None, trust, mounted_within_m: 0.0, engine }
+    }
+
+    /// The same with a sensor whose place on the robot is known to `sigma_m` in each axis, not exactly: what is
+    /// told of motions counts it in the full mode.
+    #[must_use]
+    pub fn mounted_within(self, sigma_m: f64) -> Self {
+        Self { mounted_within_m: sigma_m, ..self }
     }
 
     /// Settings that the mapper runs with.
@@ -223,11 +235,21 @@ impl Mapper {
         }
     }
 
+    /// What the place of the sensor adds to the covariance of a motion, in the frame of the poses.
+    fn by_lever(&self, before: &Isometry3<f64>, after: &Isometry3<f64>) -> Matrix6<f64> {
+        let [before, after] = [before, after].map(|pose| pose.rotation.to_rotation_matrix());
+        lever_covariance(&before, &after, self.mounted_within_m)
+    }
+
     /// Pose and covariance at the last scan.
     fn last(&self) -> (Isometry3<f64>, Matrix6<f64>) {
         match &self.engine {
             Engine::Mip { filter, .. } => (*filter.world_from_robot(), *filter.covariance()),
-            Engine::Full(full) => (full.world_from_robot(), full.covariance()),
+            Engine::Full(full) => {
+                let pose = full.world_from_robot();
+                let first = full.keyframe(0).unwrap_or(pose);
+                (pose, full.covariance() + self.by_lever(&first, &pose))
+            }
         }
     }
 
@@ -293,7 +315,11 @@ impl Mapper {
     pub fn motion_covariance(&self, first: usize, second: usize) -> Option<Matrix6<f64>> {
         match &self.engine {
             Engine::Mip { .. } => None,
-            Engine::Full(full) => full.motion_covariance(first, second),
+            Engine::Full(full) => {
+                let motion = full.keyframe(first)?.inverse() * full.keyframe(second)?;
+                let by_lever = self.by_lever(&Isometry3::identity(), &motion);
+                Some(full.motion_covariance(first, second)? + by_lever)
+            }
         }
     }
 

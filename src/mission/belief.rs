@@ -320,6 +320,12 @@ impl Belief {
         self.leg.put(&increment);
     }
 
+    /// The same with a laser whose place on the robot is known to `sigma_m` in each axis.
+    #[must_use]
+    pub fn mounted_within(self, sigma_m: f64) -> Self {
+        Self { mapper: self.mapper.mounted_within(sigma_m), ..self }
+    }
+
     /// Where the robot began.
     pub fn start(&self) -> &Isometry3<f64> {
         &self.start

@@ -172,7 +172,9 @@ impl Running {
         let config = desk.config;
         let shape = shape_of(&rig);
         let assumed_m = shape.circumscribed_radius_m() + config.mission.assumed_margin_m;
-        let belief = Belief::new(config.belief.clone(), shape.clone(), start, assumed_m);
+        let mounted_within_m = rig.laser.as_ref().map_or(0.0, |laser| laser.mounted_within_m);
+        let belief = Belief::new(config.belief.clone(), shape.clone(), start, assumed_m)
+            .mounted_within(mounted_within_m);
         let acquisition = if rig.is_planar() {
             None
         } else {

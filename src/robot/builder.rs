@@ -44,6 +44,10 @@ enum Asked {
     Conf,
 }
 
+/// What UDK rounds the places of sensors to in each axis, in metres (protocol 3.9); UT2004 cuts them to a
+/// tenth of a millimetre.
+const UDK_PLACE_STEP_M: f64 = 0.01;
+
 /// Sensor types whose mountings are asked for, in the order of asking.
 const SENSOR_TYPES: [&str; 7] =
     ["RangeScanner", "Sonar", "VictSensor", "RFID", "Camera", "INS", "Odometry"];
@@ -262,6 +266,10 @@ impl RigBuilder {
             Some((mounting, head)) => {
                 laser.name = mounting.name.clone();
                 laser.head = head.clone();
+                laser.mounted_within_m = match self.dialect {
+                    Dialect::Ut2004 => 0.0,
+                    Dialect::Udk => UDK_PLACE_STEP_M / 12_f64.sqrt(),
+                };
             }
             None if self.says_there_is_no("RangeScanner") => return None,
             None => {

@@ -36,6 +36,7 @@ fn sick(name: &str, fov_rad: f64, mount: Mount) -> Laser {
         name: name.into(),
         type_name: "RangeScanner".into(),
         head: ScanHead::new(mount),
+        mounted_within_m: 0.0,
         min_range_m: 0.1,
         max_range_m: 20.0,
         fov_rad,

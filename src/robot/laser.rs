@@ -15,6 +15,10 @@ pub struct Laser {
     pub type_name: String,
     /// Its mount and the joints that point it.
     pub head: ScanHead,
+    /// Standard deviation of its place on the part that carries it in each axis, in metres: what the server has
+    /// rounded that to.
+    #[serde(default)]
+    pub mounted_within_m: f64,
     /// Nearest distance it measures, in metres.
     pub min_range_m: f64,
     /// Distance from which on it reports no return, in metres.
@@ -181,6 +185,7 @@ mod tests {
         Laser {
             name: name.into(),
             type_name: "RangeScanner".into(),
+            mounted_within_m: 0.0,
             head: ScanHead::new(Mount::on_body([0.2, 0.0, -0.2], [0.0; 3])),
             min_range_m: 0.1,
             max_range_m: 20.0,

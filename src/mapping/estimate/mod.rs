@@ -261,6 +261,11 @@ impl Estimate {
         found.into_iter().flatten().map(|sighting| (sighting.landmark, &*sighting.observation))
     }
 
+    /// Pose at a scan, by its number.
+    pub(super) fn pose(&self, number: usize) -> Option<Isometry3<f64>> {
+        self.keyframes.get(number).map(|keyframe| self.graph.pose(keyframe.pose))
+    }
+
     /// Poses at all scans.
     pub(super) fn poses(&self) -> Vec<Isometry3<f64>> {
         let keys: Vec<Key> = self.keyframes.iter().map(|keyframe| keyframe.pose).collect();
