@@ -8,8 +8,9 @@ use super::innovation::Innovation;
 use super::landmark::{Landmark, carried_hull, hulls_meet};
 use super::mask::MASK_CELL_M;
 use super::observation::Observation;
+use super::scan_errors::CommonColumns;
 use super::shift::Shift;
-use nalgebra::{Isometry3, Matrix3x4, Point2, Point3, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -57,7 +58,7 @@ impl Default for AssociationConfig {
 /// the planes of the belief that it may be.
 pub(super) struct Question<'a> {
     pub(super) observations: &'a [Observation],
-    pub(super) common: &'a [Option<Matrix3x4<f64>>],
+    pub(super) common: &'a [Option<CommonColumns<3>>],
     pub(super) candidates: &'a [Vec<usize>],
     /// Of each observation's mask the cells that are looked at.
     pub(super) samples: &'a [Vec<Point2<f64>>],

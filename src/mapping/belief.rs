@@ -4,15 +4,14 @@
 use super::innovation::Innovation;
 use super::observation::Observation;
 use super::perturbation::{perturbed_plane, perturbed_pose, pose_error};
+use super::scan_errors::{COMMON, CommonColumns, CommonErrors};
 use nalgebra::{
-    Const, DMatrix, DVector, Dyn, Isometry3, Matrix2, Matrix2x6, Matrix3, Matrix3x4, Matrix3xX,
-    Matrix6, OMatrix, SMatrix, Vector2, Vector3, Vector4, Vector6,
+    Const, DMatrix, DVector, Dyn, Isometry3, Matrix2, Matrix2x6, Matrix3, Matrix3xX, Matrix6,
+    OMatrix, SMatrix, Vector2, Vector3, Vector6,
 };
 
 /// Components of the pose's error.
 const POSE: usize = 6;
-/// Components of the scan's common errors.
-const ERRORS: usize = 4;
 /// Cosine of a normal's angle to the vertical above which a plane lies.
 const LYING_COSINE: f64 = 0.8;
 /// Most points of linearisation of one update.
@@ -27,7 +26,7 @@ type MatrixXxR<const R: usize> = OMatrix<f64, Dyn, Const<R>>;
 #[derive(Clone, Debug)]
 pub(super) struct Belief {
     pub(super) world_from_robot: Isometry3<f64>,
-    errors: Option<Vector4<f64>>,
+    errors: Option<CommonErrors>,
     pub(super) planes: Vec<Isometry3<f64>>,
     /// Rows: pose, errors if there are any, planes.
     covariance: DMatrix<f64>,
@@ -36,7 +35,7 @@ pub(super) struct Belief {
 /// Where a pair is linearised.
 struct Linearisation {
     world_from_robot: Isometry3<f64>,
-    errors: Option<Vector4<f64>>,
+    errors: Option<CommonErrors>,
     world_from_plane: Isometry3<f64>,
 }
 
@@ -47,7 +46,7 @@ pub(super) struct PairRows {
     /// Its covariance.
     pub(super) s: Matrix3<f64>,
     h_pose: nalgebra::Matrix3x6<f64>,
-    h_errors: Option<Matrix3x4<f64>>,
+    h_errors: Option<CommonColumns<3>>,
     h_plane: Matrix3<f64>,
 }
 
@@ -78,12 +77,12 @@ impl Belief {
         with_errors: bool,
     ) -> Self {
         let covariance = if with_errors {
-            let size = joint.nrows() + ERRORS;
+            let size = joint.nrows() + COMMON;
             let mut wide = DMatrix::zeros(size, size);
             let rest = joint.nrows() - POSE;
             wide.view_mut((0, 0), (POSE, POSE)).copy_from(&joint.view((0, 0), (POSE, POSE)));
-            wide.view_mut((POSE, POSE), (ERRORS, ERRORS)).fill_with_identity();
-            let after = POSE + ERRORS;
+            wide.view_mut((POSE, POSE), (COMMON, COMMON)).fill_with_identity();
+            let after = POSE + COMMON;
             wide.view_mut((after, after), (rest, rest))
                 .copy_from(&joint.view((POSE, POSE), (rest, rest)));
             wide.view_mut((0, after), (POSE, rest)).copy_from(&joint.view((0, POSE), (POSE, rest)));
@@ -92,7 +91,7 @@ impl Belief {
         } else {
             joint.clone()
         };
-        Self { world_from_robot, errors: with_errors.then(Vector4::zeros), planes, covariance }
+        Self { world_from_robot, errors: with_errors.then(CommonErrors::zeros), planes, covariance }
     }
 
     /// The belief over the same pose and some of the planes, in the order given.
@@ -110,7 +109,7 @@ impl Belief {
     }
 
     fn first_plane(&self) -> usize {
-        POSE + if self.errors.is_some() { ERRORS } else { 0 }
+        POSE + if self.errors.is_some() { COMMON } else { 0 }
     }
 
     /// Traces of the pose's covariance: of its translation in m², of its rotation in rad².
@@ -156,8 +155,8 @@ impl Belief {
     }
 
     /// The common errors as far as they are known, in units of their standard deviations.
-    pub(super) fn errors(&self) -> Vector4<f64> {
-        self.errors.unwrap_or_else(Vector4::zeros)
+    pub(super) fn errors(&self) -> CommonErrors {
+        self.errors.unwrap_or_else(CommonErrors::zeros)
     }
 
     /// Innovation and its covariance for an observation taken as plane `plane`, equations (3) to (7)
@@ -165,7 +164,7 @@ impl Belief {
     pub(super) fn pair(
         &self,
         observation: &Observation,
-        common: Option<&Matrix3x4<f64>>,
+        common: Option<&CommonColumns<3>>,
         plane: usize,
     ) -> PairRows {
         self.pair_at(&self.moved(plane, None), observation, common, plane)
@@ -176,7 +175,7 @@ impl Belief {
         &self,
         at: &Linearisation,
         observation: &Observation,
-        common: Option<&Matrix3x4<f64>>,
+        common: Option<&CommonColumns<3>>,
         plane: usize,
     ) -> PairRows {
         let observed = match (common, &at.errors) {
@@ -200,9 +199,9 @@ impl Belief {
             + cross.transpose()
             + noise;
         if let Some(h_e) = &h_errors {
-            let with_pose = h_x * p.fixed_view::<POSE, ERRORS>(0, POSE) * h_e.transpose();
-            let with_plane = h_f * p.fixed_view::<3, ERRORS>(at, POSE) * h_e.transpose();
-            s += h_e * p.fixed_view::<ERRORS, ERRORS>(POSE, POSE) * h_e.transpose()
+            let with_pose = h_x * p.fixed_view::<POSE, COMMON>(0, POSE) * h_e.transpose();
+            let with_plane = h_f * p.fixed_view::<3, COMMON>(at, POSE) * h_e.transpose();
+            s += h_e * p.fixed_view::<COMMON, COMMON>(POSE, POSE) * h_e.transpose()
                 + with_pose
                 + with_pose.transpose()
                 + with_plane
@@ -216,7 +215,7 @@ impl Belief {
     pub(super) fn absorb(
         &mut self,
         observation: &Observation,
-        common: Option<&Matrix3x4<f64>>,
+        common: Option<&CommonColumns<3>>,
         plane: usize,
     ) {
         let mut at = self.moved(plane, None);
@@ -248,7 +247,7 @@ impl Belief {
         let mut cross: MatrixXxR<3> = p.fixed_columns::<POSE>(0) * rows.h_pose.transpose();
         cross += p.fixed_columns::<3>(at) * rows.h_plane.transpose();
         if let Some(h_e) = &rows.h_errors {
-            cross += p.fixed_columns::<ERRORS>(POSE) * h_e.transpose();
+            cross += p.fixed_columns::<COMMON>(POSE) * h_e.transpose();
         }
         cross
     }
@@ -259,7 +258,7 @@ impl Belief {
         let mut product =
             rows.h_pose * error.fixed_rows::<POSE>(0) + rows.h_plane * error.fixed_rows::<3>(at);
         if let Some(h_e) = &rows.h_errors {
-            product += h_e * error.fixed_rows::<ERRORS>(POSE);
+            product += h_e * error.fixed_rows::<COMMON>(POSE);
         }
         product
     }
@@ -275,7 +274,7 @@ impl Belief {
             let pose: Vector6<f64> = error.fixed_view::<POSE, 1>(0, 0).into_owned();
             at.world_from_robot = perturbed_pose(&self.world_from_robot, &pose);
             if let Some(errors) = &mut at.errors {
-                *errors += error.fixed_view::<ERRORS, 1>(POSE, 0);
+                *errors += error.fixed_view::<COMMON, 1>(POSE, 0);
             }
             let row = self.first_plane() + 3 * plane;
             let part: Vector3<f64> = error.fixed_view::<3, 1>(row, 0).into_owned();
@@ -320,7 +319,7 @@ impl Belief {
         let pose: Vector6<f64> = error.fixed_view::<POSE, 1>(0, 0).into_owned();
         self.world_from_robot = perturbed_pose(&self.world_from_robot, &pose);
         if let Some(errors) = &mut self.errors {
-            *errors += error.fixed_view::<ERRORS, 1>(POSE, 0);
+            *errors += error.fixed_view::<COMMON, 1>(POSE, 0);
         }
         let first = self.first_plane();
         for (i, plane) in self.planes.iter_mut().enumerate() {
@@ -362,7 +361,7 @@ impl Belief {
         let mut product: Matrix3xX<f64> = rows.h_pose * p.fixed_rows::<POSE>(0);
         product += rows.h_plane * p.fixed_rows::<3>(at);
         if let Some(h_e) = &rows.h_errors {
-            product += h_e * p.fixed_rows::<ERRORS>(POSE);
+            product += h_e * p.fixed_rows::<COMMON>(POSE);
         }
         product
     }
@@ -373,7 +372,7 @@ impl Belief {
         let mut block = carried.fixed_view::<3, POSE>(0, 0) * rows.h_pose.transpose()
             + carried.fixed_view::<3, 3>(0, at) * rows.h_plane.transpose();
         if let Some(h_e) = &rows.h_errors {
-            block += carried.fixed_view::<3, ERRORS>(0, POSE) * h_e.transpose();
+            block += carried.fixed_view::<3, COMMON>(0, POSE) * h_e.transpose();
         }
         block
     }
@@ -439,7 +438,7 @@ mod tests {
             let joint = random_covariance(12, seed, 0.01);
             let planes = vec![pose * a, pose * b];
             let belief = Belief::new(pose, planes, &joint, common);
-            let jacobian = Matrix3x4::from_element(2e-4);
+            let jacobian = CommonColumns::from_element(2e-4);
             let common = common.then_some(&jacobian);
             let shifted = perturbed_plane(&a, &Vector3::new(0.002, 0.001, -0.003));
             let rows = belief.pair(&observation(shifted), common, 0);
@@ -447,7 +446,7 @@ mod tests {
             let mut h = DMatrix::zeros(3, size);
             h.view_mut((0, 0), (3, 6)).copy_from(&rows.h_pose);
             if let Some(h_e) = &rows.h_errors {
-                h.view_mut((0, 6), (3, 4)).copy_from(h_e);
+                h.view_mut((0, 6), (3, COMMON)).copy_from(h_e);
             }
             h.view_mut((0, belief.first_plane()), (3, 3)).copy_from(&rows.h_plane);
             let seen = belief.errors.map_or(shifted, |errors| perturbed_plane(&shifted, &-(jacobian * errors)));

@@ -59,7 +59,10 @@ pub use report::{
     Addition, Association, LEVER_M, MovedKeyframe, Refusal, RefusalReason, UpdateReport,
     WeakDirection, weak_directions,
 };
-pub use scan_errors::{ScanErrors, ScanObservations, common_error_jacobian, curve_error_jacobian};
+pub use scan_errors::{
+    COMMON, CommonColumns, CommonErrors, ScanErrors, ScanObservations, common_error_jacobian,
+    curve_error_jacobian,
+};
 
 use lever::lever_covariance;
 use nalgebra::{Isometry3, Matrix3, Matrix6};

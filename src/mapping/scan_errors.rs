@@ -1,7 +1,14 @@
 use super::curved::{CurveKind, CurvedObservation};
 use super::observation::Observation;
-use nalgebra::{Isometry3, Matrix3x4, Matrix4, Point3, Vector3, Vector4};
+use nalgebra::{Isometry3, Point3, SMatrix, SVector, Vector3};
 use serde::{Deserialize, Serialize};
+
+/// Number of errors that all points of a scan share.
+pub const COMMON: usize = 6;
+/// One of each, in the order of [`ScanErrors::sigmas`].
+pub type CommonErrors = SVector<f64, COMMON>;
+/// How one unit of each moves something that was seen, by `N` components.
+pub type CommonColumns<const N: usize> = SMatrix<f64, N, COMMON>;
 
 /// Errors that all points of one scan share; they do not average out over a patch, so they are
 /// modelled as unknowns of the scan. All are standard deviations; zero means that there is none.
@@ -17,6 +24,9 @@ pub struct ScanErrors {
     pub range_bias_sigma_m: f64,
     /// Every range is off by the same share of itself. Valid: 0 or more.
     pub range_scale_sigma: f64,
+    /// The sensor sits elsewhere on the part that tilts by this in each axis, in metres: what the tilt turns of
+    /// that. What is the same at all tilts moves the scan as a whole. Valid: 0 or more.
+    pub mount_sigma_m: f64,
 }
 
 impl ScanErrors {
@@ -25,14 +35,16 @@ impl ScanErrors {
         self.sigmas().amax() > 0.0
     }
 
-    /// The four standard deviations: tilt offset, tilt scale, range bias, range scale.
-    pub fn sigmas(&self) -> Vector4<f64> {
-        Vector4::new(
+    /// The standard deviations: tilt offset, tilt scale, range bias, range scale, mount ahead, mount up.
+    pub fn sigmas(&self) -> CommonErrors {
+        CommonErrors::from([
             self.tilt_offset_sigma_rad,
             self.tilt_scale_sigma,
             self.range_bias_sigma_m,
             self.range_scale_sigma,
-        )
+            self.mount_sigma_m,
+            self.mount_sigma_m,
+        ])
     }
 }
 
@@ -63,7 +75,7 @@ pub struct ScanObservations {
 pub fn common_error_jacobian(
     observation: &Observation,
     robot_from_scan: &Isometry3<f64>,
-) -> Matrix3x4<f64> {
+) -> CommonColumns<3> {
     let scan_from_plane = robot_from_scan.inverse() * observation.robot_from_plane;
     let normal = scan_from_plane.rotation * Vector3::z();
     let reach = |pick: fn(&nalgebra::Point2<f64>) -> f64| {
@@ -79,7 +91,7 @@ pub fn common_error_jacobian(
     let centre = along(0.0, 0.0);
     let (right, left) = (along(reach_x, 0.0), along(-reach_x, 0.0));
     let (top, bottom) = (along(0.0, reach_y), along(0.0, -reach_y));
-    Matrix3x4::from_fn(|row, error| match row {
+    CommonColumns::from_fn(|row, error| match row {
         // Mean over the patch: the value at its middle and what the curvature adds on average.
         0 => 0.5 * (right[error] + left[error] + top[error] + bottom[error]) - centre[error],
         // A rotation θ about y lowers points at +x.
@@ -94,7 +106,7 @@ pub fn common_error_jacobian(
 pub fn curve_error_jacobian(
     seen: &CurvedObservation,
     robot_from_scan: &Isometry3<f64>,
-) -> Matrix4<f64> {
+) -> CommonColumns<4> {
     let scan_from_curve = robot_from_scan.inverse() * seen.robot_from_curve;
     let at = |z: f64| {
         let p = (scan_from_curve * Point3::new(0.0, 0.0, z)).coords;
@@ -102,7 +114,7 @@ pub fn curve_error_jacobian(
     };
     let middle = at(0.0);
     match seen.kind {
-        CurveKind::Sphere => Matrix4::from_fn(|row, error| match row {
+        CurveKind::Sphere => CommonColumns::from_fn(|row, error| match row {
             3 => 0.0,
             _ => middle[error][row],
         }),
@@ -110,7 +122,7 @@ pub fn curve_error_jacobian(
             // The standard deviation of a uniform piece is what a fit sees of its length.
             let reach = (0.5 * seen.length_m / 3_f64.sqrt()).max(1e-3);
             let (above, below) = (at(reach), at(-reach));
-            Matrix4::from_fn(|row, error| match row {
+            CommonColumns::from_fn(|row, error| match row {
                 0 | 1 => 0.5 * (above[error][row] + below[error][row]),
                 _ => (above[error][row - 2] - below[error][row - 2]) / (2.0 * reach),
             })
@@ -119,12 +131,15 @@ pub fn curve_error_jacobian(
 }
 
 /// Displacement of a point of the scan frame per unit of each common error.
-fn displacements(p: &Vector3<f64>) -> [Vector3<f64>; 4] {
+fn displacements(p: &Vector3<f64>) -> [Vector3<f64>; COMMON] {
     let about_y = Vector3::y().cross(p);
     // Core convention: a positive tilt looks down, as a rotation about y does.
     let tilt = (-p.z).atan2(p.x);
     let range = p.norm().max(1e-9);
-    [about_y, about_y * tilt, p / range, *p]
+    let (sin, cos) = tilt.sin_cos();
+    let (mount_ahead, mount_up) =
+        (Vector3::new(cos - 1.0, 0.0, -sin), Vector3::new(sin, 0.0, cos - 1.0));
+    [about_y, about_y * tilt, p / range, *p, mount_ahead, mount_up]
 }
 
 #[cfg(test)]
@@ -184,12 +199,25 @@ mod tests {
         for (centre, normal, turn) in frames {
             let frame = Isometry3::from_parts(centre.into(), towards(normal, turn));
             let jacobian = common_error_jacobian(&patch(frame), &Isometry3::identity());
-            for error in 0..4 {
+            for error in 0..COMMON {
                 let size = 1e-4;
                 let numeric =
                     (refitted(&frame, error, size) - refitted(&frame, error, -size)) / (2.0 * size);
                 let gap = (jacobian.column(error) - numeric).norm();
                 assert!(gap < 0.05 * numeric.norm().max(0.3), "{error}: {jacobian} {numeric}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_sensor_that_sits_elsewhere_displaces_by_what_the_tilt_turns_of_that() {
+        for tilt_rad in [-0.4, 0.0, 0.3, 0.7] {
+            let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), tilt_rad);
+            let point = turn * Vector3::new(3.0, -1.0, 0.0);
+            let [.., ahead, up] = displacements(&point);
+            for (found, axis) in [(ahead, Vector3::x()), (up, Vector3::z())] {
+                let expected = turn * axis - axis;
+                assert!((found - expected).norm() < 1e-12, "{tilt_rad}: {found} {expected}");
             }
         }
     }

@@ -66,6 +66,7 @@ impl Running {
         let budget = scan.budget.to_string();
         let errors = crate::mapping::ScanErrors {
             tilt_offset_sigma_rad: scan.errors.tilt_common_rad,
+            mount_sigma_m: self.rig.laser.as_ref().map_or(0.0, |laser| laser.mounted_within_m),
             ..crate::mapping::ScanErrors::default()
         };
         let before = self.belief.world_from_robot();

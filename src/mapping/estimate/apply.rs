@@ -11,7 +11,8 @@ use crate::mapping::observation::Observation;
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{perturbed_pose, pose_error};
 use crate::mapping::report::{Addition, Association, RefusalReason, UpdateReport};
-use nalgebra::{Isometry3, Matrix3x4, Matrix6, Point3, Vector6};
+use crate::mapping::scan_errors::CommonColumns;
+use nalgebra::{Isometry3, Matrix6, Point3, Vector6};
 use std::sync::Arc;
 
 /// Most planes that one scan may bring in, the largest first: all of a scan's planes are tied to one
@@ -166,7 +167,7 @@ impl Estimate {
         index: usize,
         landmark: LandmarkId,
         observation: &Observation,
-        common: Option<Matrix3x4<f64>>,
+        common: Option<CommonColumns<3>>,
     ) {
         let number = self.keyframes.len() - 1;
         let keyframe = &mut self.keyframes[number];
@@ -193,7 +194,7 @@ impl Estimate {
         &mut self,
         index: usize,
         observation: &Observation,
-        common: Option<Matrix3x4<f64>>,
+        common: Option<CommonColumns<3>>,
     ) -> LandmarkId {
         let id = LandmarkId(self.next_landmark);
         self.next_landmark += 1;

@@ -18,9 +18,9 @@ use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
 use super::odometry::is_nothing;
 use super::perturbation::{first_jacobian, second_jacobian, symmetric};
-use super::scan_errors::ScanObservations;
+use super::scan_errors::{CommonColumns, ScanObservations};
 use candidates::Led;
-use nalgebra::{Isometry3, Matrix3, Matrix3x4, Matrix6, Point2, Point3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point2, Point3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -66,7 +66,7 @@ pub(super) struct Prepared {
     cut: Vec<bool>,
     /// The landmark behind each plane of the belief, in order.
     planes: Vec<LandmarkId>,
-    common: Vec<Option<Matrix3x4<f64>>>,
+    common: Vec<Option<CommonColumns<3>>>,
     /// Of each observation's mask the cells that are compared with a landmark's.
     samples: Vec<Vec<Point2<f64>>>,
     /// The motion that led there, and what the graph is told that it may be off by.

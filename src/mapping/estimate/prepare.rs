@@ -12,8 +12,8 @@ use crate::mapping::observation::Observation;
 use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::recognise::recognise;
-use crate::mapping::scan_errors::{ScanObservations, common_error_jacobian};
-use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix3x4, Matrix6, Vector2, Vector6};
+use crate::mapping::scan_errors::{CommonColumns, ScanObservations, common_error_jacobian};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix6, Vector2, Vector6};
 
 /// Part of the widening of a motion over the ground that its height, roll and pitch are widened by:
 /// stuck wheels and pushes move a robot over the ground, they do not lift it off.
@@ -337,7 +337,7 @@ impl Estimate {
 }
 
 /// Each observation's columns for the scan's common errors, in units of their standard deviations.
-fn common_columns(scan: &ScanObservations) -> Vec<Option<Matrix3x4<f64>>> {
+fn common_columns(scan: &ScanObservations) -> Vec<Option<CommonColumns<3>>> {
     let sigmas = scan.errors.sigmas();
     scan.observations
         .iter()

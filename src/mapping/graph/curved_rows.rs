@@ -4,12 +4,13 @@
 //! of what was seen: of an axis the point where it pierces the plane across the seen axis, and its
 //! slope to that axis; of a centre the three coordinates.
 
+use super::super::scan_errors::{COMMON, CommonColumns, CommonErrors};
 use super::factor::Linearised;
 use crate::geometry::lie::skew;
 use crate::mapping::perturbation::rotation_matrix;
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix2x3, Matrix3, Matrix3x4, Matrix4, Point3, SMatrix, SVector,
-    Vector3, Vector4,
+    DMatrix, DVector, Isometry3, Matrix2x3, Matrix3, Matrix4, Point3, SMatrix, SVector, Vector3,
+    Vector4,
 };
 
 /// Least cosine between the axis of the map and the one seen for which slopes are finite.
@@ -20,7 +21,7 @@ const LEAST_COSINE: f64 = 0.1;
 pub(super) fn axis_rows(
     pose: &Isometry3<f64>,
     axis: &Isometry3<f64>,
-    common: Option<(&Matrix4<f64>, &Vector4<f64>)>,
+    common: Option<(&CommonColumns<4>, &CommonErrors)>,
     robot_from_axis: &Isometry3<f64>,
     covariance: &Matrix4<f64>,
 ) -> Linearised {
@@ -54,7 +55,7 @@ pub(super) fn axis_rows(
     let by_own_tilt = rows(&Matrix3::zeros(), &own);
 
     let weight = whitener(covariance);
-    let mut jacobian = DMatrix::zeros(4, if common.is_some() { 14 } else { 10 });
+    let mut jacobian = DMatrix::zeros(4, 10 + if common.is_some() { COMMON } else { 0 });
     jacobian.fixed_view_mut::<4, 3>(0, 0).copy_from(&(weight * by_shift));
     jacobian.fixed_view_mut::<4, 3>(0, 3).copy_from(&(weight * by_turn));
     jacobian.fixed_view_mut::<4, 2>(0, 6).copy_from(&(weight * by_own_shift).fixed_columns::<2>(0));
@@ -63,7 +64,7 @@ pub(super) fn axis_rows(
     if let Some((by_errors, errors)) = common {
         // The errors have moved what was seen, so what is left of the difference is less by that.
         residual += by_errors * errors;
-        jacobian.fixed_view_mut::<4, 4>(0, 10).copy_from(&(weight * by_errors));
+        jacobian.fixed_view_mut::<4, COMMON>(0, 10).copy_from(&(weight * by_errors));
     }
     let residual = weight * residual;
     Linearised { jacobian, residual: DVector::from_column_slice(residual.as_slice()) }
@@ -73,21 +74,21 @@ pub(super) fn axis_rows(
 pub(super) fn centre_rows(
     pose: &Isometry3<f64>,
     centre: &Point3<f64>,
-    common: Option<(&Matrix3x4<f64>, &Vector4<f64>)>,
+    common: Option<(&CommonColumns<3>, &CommonErrors)>,
     robot_point: &Point3<f64>,
     covariance: &Matrix3<f64>,
 ) -> Linearised {
     let robot_from_world = rotation_matrix(pose).transpose();
     let lever: Vector3<f64> = centre.coords - pose.translation.vector;
     let weight = whitener(covariance);
-    let mut jacobian = DMatrix::zeros(3, if common.is_some() { 13 } else { 9 });
+    let mut jacobian = DMatrix::zeros(3, 9 + if common.is_some() { COMMON } else { 0 });
     jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&(-(weight * robot_from_world)));
     jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&(weight * robot_from_world * skew(&lever)));
     jacobian.fixed_view_mut::<3, 3>(0, 6).copy_from(&(weight * robot_from_world));
     let mut residual = robot_from_world * lever - robot_point.coords;
     if let Some((by_errors, errors)) = common {
         residual += by_errors * errors;
-        jacobian.fixed_view_mut::<3, 4>(0, 9).copy_from(&(weight * by_errors));
+        jacobian.fixed_view_mut::<3, COMMON>(0, 9).copy_from(&(weight * by_errors));
     }
     let residual: SVector<f64, 3> = weight * residual;
     Linearised { jacobian, residual: DVector::from_column_slice(residual.as_slice()) }

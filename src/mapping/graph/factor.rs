@@ -2,11 +2,12 @@ use super::super::attitude::attitude_rows;
 use super::super::curved::perturbed_axis;
 use super::super::innovation::Innovation;
 use super::super::perturbation::{perturbed_plane, perturbed_pose, pose_error, rotation_matrix};
+use super::super::scan_errors::{COMMON, CommonColumns, CommonErrors};
 use super::curved_rows::{axis_rows, centre_rows};
 use super::{Key, Value};
 use crate::geometry::lie::{skew, so3_left_jacobian_inverse};
 use nalgebra::{
-    DMatrix, DVector, Isometry3, Matrix2, Matrix3, Matrix3x4, Matrix4, Matrix6, Point3, Vector3,
+    DMatrix, DVector, Isometry3, Matrix2, Matrix3, Matrix4, Matrix6, Point3, SMatrix, Vector3,
     Vector4, Vector6,
 };
 use serde::{Deserialize, Serialize};
@@ -41,7 +42,7 @@ pub enum Factor {
         /// The plane.
         plane: Key,
         /// Common errors of the scan and how they move this observation, if there are any.
-        errors: Option<(Key, Matrix3x4<f64>)>,
+        errors: Option<(Key, CommonColumns<3>)>,
         /// Observed frame in the robot frame.
         robot_from_plane: Isometry3<f64>,
         /// Covariance of (offset, tilt about y, tilt about x) in the observed frame.
@@ -54,7 +55,7 @@ pub enum Factor {
         /// The axis.
         axis: Key,
         /// Common errors of the scan and how they move this observation, if there are any.
-        errors: Option<(Key, Matrix4<f64>)>,
+        errors: Option<(Key, CommonColumns<4>)>,
         /// Observed frame in the robot frame, z along the axis.
         robot_from_axis: Isometry3<f64>,
         /// Covariance of (offset along x and y, tilt towards x and y) in the observed frame.
@@ -67,7 +68,7 @@ pub enum Factor {
         /// The centre.
         centre: Key,
         /// Common errors of the scan and how they move this observation, if there are any.
-        errors: Option<(Key, Matrix3x4<f64>)>,
+        errors: Option<(Key, CommonColumns<3>)>,
         /// Observed point in the robot frame.
         robot_point: Point3<f64>,
         /// Its covariance in the robot frame, m².
@@ -179,7 +180,7 @@ impl Factor {
                 }
             }
             Self::ErrorPrior { errors } => Linearised {
-                jacobian: DMatrix::identity(4, 4),
+                jacobian: DMatrix::identity(COMMON, COMMON),
                 residual: DVector::from_column_slice(value(*errors).errors().as_slice()),
             },
         }
@@ -226,7 +227,7 @@ fn between_rows(
 fn plane_rows(
     pose: &Isometry3<f64>,
     plane: &Isometry3<f64>,
-    common: Option<(&Matrix3x4<f64>, &Vector4<f64>)>,
+    common: Option<(&CommonColumns<3>, &CommonErrors)>,
     robot_from_plane: &Isometry3<f64>,
     covariance: &Matrix3<f64>,
 ) -> Linearised {
@@ -243,11 +244,13 @@ fn plane_rows(
         .or_else(|| covariance.cholesky())
         .and_then(|cholesky| cholesky.l().solve_lower_triangular(&Matrix3::identity()))
         .expect("an observation's covariance is positive");
-    let mut jacobian = DMatrix::zeros(3, if common.is_some() { 13 } else { 9 });
+    let mut jacobian = DMatrix::zeros(3, 9 + if common.is_some() { COMMON } else { 0 });
     jacobian.fixed_view_mut::<3, 6>(0, 0).copy_from(&(weight * innovation.h_x));
     jacobian.fixed_view_mut::<3, 3>(0, 6).copy_from(&(weight * innovation.h_f));
     if let Some((errors, _)) = common {
-        jacobian.fixed_view_mut::<3, 4>(0, 9).copy_from(&(-(weight * innovation.h_z * errors)));
+        jacobian
+            .fixed_view_mut::<3, COMMON>(0, 9)
+            .copy_from(&(-(weight * innovation.h_z * errors)));
     }
     let residual = weight * innovation.h;
     Linearised { jacobian, residual: DVector::from_column_slice(residual.as_slice()) }
@@ -265,7 +268,8 @@ impl Value {
         match self {
             Self::Pose(_) => 6,
             Self::Plane(_) | Self::Centre(_) => 3,
-            Self::Axis(_) | Self::Errors(_) => 4,
+            Self::Axis(_) => 4,
+            Self::Errors(_) => COMMON,
         }
     }
 
@@ -306,7 +310,7 @@ impl Value {
     }
 
     /// The common errors of a scan. Panics as [`pose`](Self::pose) does.
-    pub fn errors(&self) -> &Vector4<f64> {
+    pub fn errors(&self) -> &CommonErrors {
         match self {
             Self::Errors(errors) => errors,
             other => panic!("errors of a scan were expected, not {other:?}"),
@@ -327,15 +331,15 @@ impl Value {
                 Self::Axis(perturbed_axis(frame, &Vector4::from_column_slice(error)))
             }
             Self::Centre(point) => Self::Centre(point + Vector3::from_column_slice(error)),
-            Self::Errors(errors) => Self::Errors(errors + Vector4::from_column_slice(error)),
+            Self::Errors(errors) => Self::Errors(errors + CommonErrors::from_column_slice(error)),
         }
     }
 }
 
 /// Scales the columns of a common-error Jacobian by the errors' standard deviations, so that the
 /// errors become variables of unit variance.
-pub fn scaled_errors(jacobian: &Matrix3x4<f64>, sigmas: &Vector4<f64>) -> Matrix3x4<f64> {
-    jacobian * Matrix4::from_diagonal(sigmas)
+pub fn scaled_errors(jacobian: &CommonColumns<3>, sigmas: &CommonErrors) -> CommonColumns<3> {
+    jacobian * SMatrix::<f64, COMMON, COMMON>::from_diagonal(sigmas)
 }
 
 #[cfg(test)]
@@ -393,38 +397,38 @@ mod tests {
         fn plane_factors_match_central_differences(
             pose in any_pose(), observed in any_pose(),
             shift in prop::array::uniform3(-1.0..1.0f64), turn in -3.0..3.0f64,
-            common in prop::array::uniform12(-1.0..1.0f64),
+            common in prop::collection::vec(-1.0..1.0f64, 3 * COMMON),
         ) {
             let near = Isometry3::from_parts(
                 Vector3::new(shift[0], shift[1], 0.1 * shift[2]).into(),
                 UnitQuaternion::from_scaled_axis(Vector3::z() * turn),
             );
             let values = [
-                Value::Pose(pose), Value::Plane(pose * observed * near), Value::Errors(Vector4::zeros()),
+                Value::Pose(pose), Value::Plane(pose * observed * near), Value::Errors(CommonErrors::zeros()),
             ];
             let covariance = Matrix3::from_diagonal(&Vector3::new(0.02, 0.01, 0.01));
             let factor = |errors| Factor::Plane {
                 pose: Key(0), plane: Key(1), errors, robot_from_plane: observed, covariance,
             };
             check(&factor(None), &values)?;
-            check(&factor(Some((Key(2), Matrix3x4::from_row_slice(&common) * 0.01))), &values)?;
+            check(&factor(Some((Key(2), CommonColumns::from_row_slice(&common) * 0.01))), &values)?;
         }
 
         #[test]
         fn curve_factors_match_central_differences(
             pose in any_pose(), observed in any_pose(),
             shift in prop::array::uniform3(-1.0..1.0f64), tilt in prop::array::uniform3(-0.3..0.3f64),
-            errors in prop::array::uniform4(-1.0..1.0f64),
-            common in prop::array::uniform16(-1.0..1.0f64),
+            errors in prop::array::uniform6(-1.0..1.0f64),
+            common in prop::collection::vec(-1.0..1.0f64, 4 * COMMON),
         ) {
             let near = Isometry3::new(Vector3::from(shift), Vector3::from(tilt));
             let frame = pose * observed * near;
             let values = [
                 Value::Pose(pose), Value::Axis(frame),
                 Value::Centre(Point3::from(frame.translation.vector)),
-                Value::Errors(Vector4::from(errors)),
+                Value::Errors(CommonErrors::from(errors)),
             ];
-            let by_errors = Matrix4::from_row_slice(&common) * 0.01;
+            let by_errors = CommonColumns::<4>::from_row_slice(&common) * 0.01;
             let covariance = Matrix4::from_diagonal(&Vector4::new(0.02, 0.03, 0.01, 0.04));
             let axis = |errors| Factor::Axis {
                 pose: Key(0), axis: Key(1), errors, robot_from_axis: observed, covariance,

@@ -26,7 +26,8 @@ mod tree;
 
 pub use factor::{Factor, Linearised, positive, scaled_errors};
 
-use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector4};
+use super::scan_errors::CommonErrors;
+use nalgebra::{DMatrix, DVector, Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use tree::Clique;
@@ -52,7 +53,7 @@ pub enum Value {
     /// A sphere's centre in the world; its error is a shift there.
     Centre(Point3<f64>),
     /// Common errors of a scan, in units of their standard deviations.
-    Errors(Vector4<f64>),
+    Errors(CommonErrors),
 }
 
 /// When a variable is linearised again, and how far corrections are carried.
