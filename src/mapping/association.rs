@@ -138,7 +138,7 @@ pub(super) const MOST_PER_PAIR: f64 = 4.5;
 /// Logarithm of how much more often a surface in the midst of a map is one of it than one of its own.
 const LOG_RECOGNISED: f64 = 2.0;
 /// How many times as much of a patch must lie on one of several landmarks as on any other.
-const LIES_ON: f64 = 2.0;
+pub(super) const LIES_ON: f64 = 2.0;
 /// Difference of the distances of two landmarks below which neither is preferred.
 const CLOSE_CALL: f64 = 2.0;
 
@@ -230,7 +230,7 @@ impl Question<'_> {
     }
 
     /// Share of a patch that lies on cells of a landmark that were hit.
-    fn share_on(&self, belief: &Belief, observation: usize, plane: usize) -> f64 {
+    pub(super) fn share_on(&self, belief: &Belief, observation: usize, plane: usize) -> f64 {
         let (samples, mask) = (&self.samples[observation], &self.landmarks[plane].mask);
         let plane_from_observed = self.plane_from_observed(belief, observation, plane);
         let is_on = |sample: &&Point2<f64>| {

@@ -8,7 +8,7 @@
 //! what was asked of a belief is kept with it, and asked once.
 
 use super::association::{
-    APART_M, Assignment, AssociationConfig, Question, log_ratio, settled, tempered_ratio,
+    APART_M, Assignment, AssociationConfig, LIES_ON, Question, log_ratio, settled, tempered_ratio,
 };
 use super::belief::Belief;
 use super::landmark::Landmark;
@@ -220,16 +220,20 @@ struct Node {
     one_place: bool,
     /// By anchor and by its planes: whether that pair fits, once it was asked.
     known: RefCell<Vec<Vec<Option<Option<Fit>>>>>,
+    /// The same: the share of the anchor that lies on the plane.
+    on: RefCell<Vec<Vec<Option<f64>>>>,
 }
 
 impl Node {
     fn new(belief: Belief, anchors: &[(usize, Vec<usize>)]) -> Rc<Self> {
         let known = anchors.iter().map(|(_, planes)| vec![None; planes.len()]).collect();
+        let on = anchors.iter().map(|(_, planes)| vec![None; planes.len()]).collect();
         Rc::new(Self {
             settled: settled(&belief),
             one_place: is_one_place(&belief),
             belief,
             known: RefCell::new(known),
+            on: RefCell::new(on),
         })
     }
 }
@@ -304,22 +308,33 @@ impl Search<'_> {
             self.file(so_far);
             return;
         };
-        let mut fitting: Vec<(Fit, usize)> = Vec::new();
+        let mut fitting: Vec<(Fit, usize, usize)> = Vec::new();
         for (at, &plane) in planes.iter().enumerate() {
             if so_far.pairs.iter().any(|pair| pair.1 == plane) {
                 continue;
             }
             self.trials += 1;
             let fit = self.fit(&so_far.node, depth, at);
-            fitting.extend(fit.map(|fit| (fit, plane)));
+            fitting.extend(fit.map(|fit| (fit, plane, at)));
         }
-        fitting.sort_by(|(a, a_plane), (b, b_plane)| {
+        fitting.sort_by(|(a, a_plane, _), (b, b_plane, _)| {
             a.distance_squared.total_cmp(&b.distance_squared).then(a_plane.cmp(b_plane))
         });
-        for (i, &(fit, plane)) in fitting.iter().enumerate() {
-            // Pieces of one surface put the robot in one place: trying one of them is enough.
+        for (i, &(fit, plane, at)) in fitting.iter().enumerate() {
+            // Pieces of one surface put the robot in one place: trying one of them is enough, that on which it
+            // lies. Not of one is a plank on the floor, which is as near while the height is open.
             let belief = &so_far.node.belief;
-            if fitting[..i].iter().any(|known| self.question.same_surface(belief, known.1, plane)) {
+            let is_rival = |other: &(Fit, usize, usize)| {
+                other.1 != plane && self.question.same_surface(belief, other.1, plane)
+            };
+            let on = |at: usize| self.share_on(&so_far.node, depth, at);
+            let lies_elsewhere = || {
+                let mut rivals = fitting.iter().filter(|other| is_rival(other));
+                rivals.any(|other| on(other.2) > LIES_ON * on(at))
+            };
+            let is_tried =
+                |known: &(Fit, usize, usize)| is_rival(known) && on(known.2) * LIES_ON >= on(at);
+            if fitting[..i].iter().any(is_tried) || lies_elsewhere() {
                 continue;
             }
             let mut next = so_far.clone();
@@ -335,6 +350,13 @@ impl Search<'_> {
             self.descend(depth + 1, next);
         }
         self.descend(depth + 1, so_far);
+    }
+
+    /// Share of an anchor that lies on its `at`-th plane under a belief.
+    fn share_on(&self, node: &Node, anchor: usize, at: usize) -> f64 {
+        let (observation, planes) = &self.anchors[anchor];
+        *node.on.borrow_mut()[anchor][at]
+            .get_or_insert_with(|| self.question.share_on(&node.belief, *observation, planes[at]))
     }
 
     /// Whether and how an anchor fits its `at`-th plane under a belief.

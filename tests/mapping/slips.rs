@@ -8,7 +8,7 @@ use crate::segmentation::scanner::{Noise, Scanner, scan};
 use crate::segmentation::world::{Random, World, pose};
 use nalgebra::{Isometry3, Translation3};
 use usar_agent::mapping::perturbation::pose_error;
-use usar_agent::mapping::{Mapper, MapperConfig, MotionSource, ScanObservations};
+use usar_agent::mapping::{Landmark, Mapper, MapperConfig, MotionSource, ScanObservations};
 use usar_agent::segmentation::{SegmentationConfig, Segmenter};
 
 const HEIGHT_M: f64 = 0.6;
@@ -229,5 +229,40 @@ fn a_robot_that_is_carried_back_is_known_where_it_is_set_down() {
         }
         let off = pose_error(&mapper.world_from_robot(), &seen[back + 1].1);
         assert!(off.fixed_rows::<3>(0).norm() < 0.02, "back to {back}: {off}");
+    }
+}
+
+/// From afar a plank is part of the floor that it lies on; from near it is a surface of its own, as near to that
+/// floor as wheels leave the height open.
+#[test]
+fn a_floor_is_not_taken_for_the_plank_on_it() {
+    let scanner = Scanner::paper();
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    for (plank, size, back_m) in
+        [([1.7, 0.4], [0.5, 1.6, 0.018], 1.5), ([1.5, 0.4], [0.3, 1.0, 0.015], 4.5)]
+    {
+        let mut world = World::default();
+        world.room([-7.0, -4.0, 6.0, 4.0], 60.0);
+        world.standing(plank[0], plank[1], size, 0.3);
+        world.standing(2.6, -1.6, [0.8, 0.6, 0.9], 0.3);
+        let mut random = Random(5);
+        let mut see = |x: f64, y: f64, yaw_rad: f64| {
+            let at = pose([x, y, HEIGHT_M], 0.0, 0.0, yaw_rad);
+            let grid = scan(&world, &at, &scanner, Noise::of(0.002), &mut random).grid;
+            (observed(&mut segmenter, &grid), at)
+        };
+        let (near, far) = (see(0.0, 0.0, 0.0), see(-back_m, 0.2, 0.05));
+        for up_m in [-0.016, -0.008, 0.008, 0.012, 0.016, 0.02] {
+            let mut mapper = Mapper::new(MapperConfig::default(), near.1);
+            mapper.observe(&near.0);
+            let is_plank =
+                |it: &Landmark| it.normal().z > 0.9 && (it.origin().z - size[2]).abs() < 0.003;
+            assert!(mapper.landmarks().iter().any(is_plank), "the plank is mapped");
+            let error = Translation3::new(0.002, -0.003, up_m);
+            mapper.predict(&(near.1.inverse() * far.1 * error), MotionSource::Wheels);
+            mapper.observe(&far.0);
+            let off_m = mapper.world_from_robot().translation.z - far.1.translation.z;
+            assert!(off_m.abs() < 0.004, "{size:?}, {up_m}: {off_m} m");
+        }
     }
 }
