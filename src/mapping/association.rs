@@ -453,10 +453,21 @@ impl Question<'_> {
     /// Whether two planes of the belief are pieces of one surface as far as a scan can tell, so that
     /// it does not matter much which of them is seen.
     pub(super) fn same_surface(&self, belief: &Belief, a: usize, b: usize) -> bool {
+        self.nearly_coplanar(belief, a, b, 0.02)
+    }
+
+    /// Whether two planes of the belief are parallel and no farther apart than so much.
+    pub(super) fn nearly_coplanar(
+        &self,
+        belief: &Belief,
+        a: usize,
+        b: usize,
+        within_m: f64,
+    ) -> bool {
         let (first, second) = (&belief.planes[a], &belief.planes[b]);
         let relative = first.inverse() * second;
         let angle = (relative.rotation * Vector3::z()).angle(&Vector3::z());
-        angle < 0.02 && relative.translation.vector.z.abs() < 0.02
+        angle < 0.02 && relative.translation.vector.z.abs() < within_m
     }
 }
 

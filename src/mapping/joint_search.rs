@@ -24,6 +24,9 @@ const APART_RAD: f64 = 0.03;
 const APART_UP_M: f64 = 0.03;
 /// Standard deviations to either side that a belief leaves.
 const ONE_PLACE_SIGMAS: f64 = 3.0;
+/// Surfaces so near to being in one plane are told apart by which of them a patch lies on: the height, which a motion
+/// leaves open by centimetres, does not tell.
+const NEAR_M: f64 = 0.1;
 /// Most assignments that are handed back.
 const MOST_ASSIGNMENTS: usize = 4;
 /// Area beside which others facing the same way add little, in m².
@@ -329,7 +332,11 @@ impl Search<'_> {
             };
             let on = |at: usize| self.share_on(&so_far.node, depth, at);
             let lies_elsewhere = || {
-                let mut rivals = fitting.iter().filter(|other| is_rival(other));
+                let is_near = |other: &&(Fit, usize, usize)| {
+                    other.1 != plane
+                        && self.question.nearly_coplanar(belief, other.1, plane, NEAR_M)
+                };
+                let mut rivals = fitting.iter().filter(is_near);
                 rivals.any(|other| on(other.2) > LIES_ON * on(at))
             };
             let is_tried =

@@ -238,9 +238,13 @@ fn a_robot_that_is_carried_back_is_known_where_it_is_set_down() {
 fn a_floor_is_not_taken_for_the_plank_on_it() {
     let scanner = Scanner::paper();
     let mut segmenter = Segmenter::new(SegmentationConfig::default());
-    for (plank, size, back_m) in
-        [([1.7, 0.4], [0.5, 1.6, 0.018], 1.5), ([1.5, 0.4], [0.3, 1.0, 0.015], 4.5)]
-    {
+    for (plank, size, back_m) in [
+        ([1.7, 0.4], [0.5, 1.6, 0.018], 1.5),
+        ([1.5, 0.4], [0.3, 1.0, 0.015], 4.5),
+        ([1.5, 0.4], [0.3, 1.0, 0.03], 2.5),
+        ([1.7, 0.4], [0.5, 1.6, 0.04], 3.6),
+        ([1.7, 0.4], [0.5, 1.6, 0.08], 3.6),
+    ] {
         let mut world = World::default();
         world.room([-7.0, -4.0, 6.0, 4.0], 60.0);
         world.standing(plank[0], plank[1], size, 0.3);
@@ -252,7 +256,8 @@ fn a_floor_is_not_taken_for_the_plank_on_it() {
             (observed(&mut segmenter, &grid), at)
         };
         let (near, far) = (see(0.0, 0.0, 0.0), see(-back_m, 0.2, 0.05));
-        for up_m in [-0.016, -0.008, 0.008, 0.012, 0.016, 0.02] {
+        for up in [-0.5, 0.5, 0.8, 1.0, 1.2] {
+            let up_m = up * size[2];
             let mut mapper = Mapper::new(MapperConfig::default(), near.1);
             mapper.observe(&near.0);
             let is_plank =
