@@ -168,6 +168,9 @@ impl Stopwatch {
     }
 }
 
+/// Farthest from one scan to the next that is no broken line of a file, in metres.
+const FARTHEST_STEP_M: f64 = 1000.0;
+
 fn read_poses(path: Option<&Path>, scans: usize) -> Result<Option<Vec<TimedPose>>> {
     let Some(path) = path else { return Ok(None) };
     let text =
@@ -179,6 +182,18 @@ fn read_poses(path: Option<&Path>, scans: usize) -> Result<Option<Vec<TimedPose>
     if let Some(at) = poses.windows(2).position(|pair| pair[1].time_s < pair[0].time_s) {
         let (before, after) = (poses[at].time_s, poses[at + 1].time_s);
         bail!("{}: pose {} is of {after} s, before that of {before} s", path.display(), at + 2);
+    }
+    let leap_m = |pair: &[TimedPose]| {
+        (pair[1].pose.translation.vector - pair[0].pose.translation.vector).norm()
+    };
+    if let Some(at) = poses.windows(2).position(|pair| leap_m(pair) > FARTHEST_STEP_M) {
+        let leap_m = leap_m(&poses[at..at + 2]);
+        bail!(
+            "{}: pose {} is {leap_m:.0} m from the one before; scans of one map are at most \
+             {FARTHEST_STEP_M} m apart",
+            path.display(),
+            at + 2
+        );
     }
     Ok(Some(poses))
 }

@@ -114,6 +114,14 @@ impl Default for OdometryNoise {
     }
 }
 
+/// Standard deviations of a heading of which nothing is known, all being as likely, and of the tilts of a body of
+/// which no more is known than that it stands: no motion leaves more open, however long it is told to be.
+const UNKNOWN_HEADING_RAD: f64 = 1.8;
+const UNKNOWN_TILT_RAD: f64 = 0.5;
+/// The same for a place, in metres: a leap of kilometres is a broken line of odometry, and a map in which one step
+/// is open by as much is too stiff elsewhere to be solved.
+const UNKNOWN_PLACE_M: f64 = 100.0;
+
 /// Motion gathered between two scans.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Motion {
@@ -228,13 +236,15 @@ impl OdometryNoise {
             self.position_per_rad * wheel_way_turn,
             inertial.place_per_root_m * unit_way.sqrt(),
             inertial.place_per_m * unit_way,
-        ]);
+        ])
+        .min(UNKNOWN_PLACE_M.powi(2));
         let heading = sum(&[
             fixed_rad,
             self.heading_per_m * wheel_path,
             self.heading_per_rad * wheel_turn,
             inertial.step_share * steps,
-        ]);
+        ])
+        .min(UNKNOWN_HEADING_RAD.powi(2));
         let tilts = motion.inertial_tilts_rad2.sqrt();
         let height_fixed_m = if only_inertial { inertial.height_fixed_m } else { fixed_m };
         let height = sum(&[
@@ -243,13 +253,15 @@ impl OdometryNoise {
             inertial.height_per_m * told_path,
             inertial.step_share * tilts * told_path,
             inertial.height_per_rad * tilts,
-        ]);
+        ])
+        .min(UNKNOWN_PLACE_M.powi(2));
         let attitude = sum(&[
             fixed_rad,
             self.attitude_per_m * wheel_path,
             inertial.attitude_per_m * told_path,
             inertial.step_share * steps,
-        ]);
+        ])
+        .min(UNKNOWN_TILT_RAD.powi(2));
         let mut covariance = Matrix6::from_diagonal(&Vector6::new(
             position, position, height, attitude, attitude, heading,
         ));
@@ -258,6 +270,7 @@ impl OdometryNoise {
         // inertial unit's places do not hang on its heading.
         let by_wheels = if path > 0.0 { wheel_way / path } else { 0.0 };
         let reach = motion.before_from_after.translation.vector * by_wheels;
+        let reach = reach.cap_magnitude(UNKNOWN_PLACE_M);
         let (along_y, along_x) = (0.5 * reach.x, -0.5 * reach.y);
         let twice = 2.0 * heading;
         covariance[(0, 0)] += twice * along_x * along_x;

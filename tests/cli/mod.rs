@@ -499,6 +499,12 @@ fn what_map_writes_is_scored_and_what_is_missing_is_named() {
         &[&scans[..], &["--odometry", text(&backwards)]].concat(),
         &["backwards.tum", "pose 3 is of 1 s, before that of 5 s"],
     );
+    let broken = path("broken.tum");
+    fs::write(&broken, "0 0 0 0 0 0 0 1\n1 20000 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n").unwrap();
+    fails_with(
+        &[&scans[..], &["--odometry", text(&broken)]].concat(),
+        &["broken.tum", "pose 2 is 20000 m from the one before"],
+    );
 
     // The paper's filter has no covariance of motions, and says so instead of a number.
     assert!(map("mip").contains("no NEES"));

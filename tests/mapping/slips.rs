@@ -108,6 +108,28 @@ fn a_slip_by_a_tread_along_a_stair_is_found() {
     }
 }
 
+#[test]
+fn odometry_that_leaps_by_hundreds_of_metres_loses_no_pose_before_it() {
+    let seen = along(
+        &stair(0.28),
+        &[(-1.4, 0.1, 0.0), (-0.9, 0.1, 6.0), (-0.4, 0.2, -5.0), (0.2, 0.1, 3.0)],
+    );
+    for leap_m in [30.0, 600.0, 1000.0] {
+        let mut mapper = Mapper::new(MapperConfig::default(), seen[0].1);
+        mapper.observe(&seen[0].0);
+        for (step, pair) in seen.windows(2).enumerate() {
+            let leap = Translation3::new(if step == 1 { leap_m } else { 0.0 }, 0.0, 0.0);
+            mapper.predict(&(pair[0].1.inverse() * pair[1].1 * leap), MotionSource::Wheels);
+            mapper.observe(&pair[1].0);
+        }
+        let poses = mapper.keyframes();
+        let is_told = |pose: &Isometry3<f64>| pose.to_homogeneous().iter().all(|x| x.is_finite());
+        assert!(poses.len() == 4 && poses.iter().all(is_told), "{leap_m}: {poses:?}");
+        let off_m = pose_error(&poses[1], &seen[1].1).fixed_rows::<3>(0).norm();
+        assert!(off_m < 0.01, "{leap_m}: {off_m} m");
+    }
+}
+
 /// A hall with a stair, shelves and tables, and a robot that turns its side to the stair.
 #[test]
 fn a_slip_beside_a_stair_is_found() {
