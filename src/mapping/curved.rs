@@ -5,11 +5,11 @@
 //! towards x, tilt towards y) of its own, in metres and radians. A turn about z and a shift along it
 //! are no errors of an axis. A centre is a point; its error is a 3-vector in the world.
 
-use super::graph::{Factor, Key, Value};
-use super::scan_errors::{COMMON, ScanErrors, curve_error_jacobian};
+use super::graph::{Factor, Key, Value, scaled_errors};
+use super::scan_errors::{ScanErrors, curve_error_jacobian};
 use crate::segmentation::{Segmentation, Shape, Surface};
 use nalgebra::{
-    Isometry3, Matrix3, Matrix4, Point3, SMatrix, Translation3, UnitQuaternion, Vector3, Vector4,
+    Isometry3, Matrix3, Matrix4, Point3, Translation3, UnitQuaternion, Vector3, Vector4,
 };
 use serde::{Deserialize, Serialize};
 
@@ -141,7 +141,7 @@ impl CurvedObservation {
     ) -> Factor {
         let common = errors.map(|(key, errors)| {
             let jacobian = curve_error_jacobian(self, robot_from_scan);
-            (key, jacobian * SMatrix::<f64, COMMON, COMMON>::from_diagonal(&errors.sigmas()))
+            (key, scaled_errors(&jacobian, &errors.sigmas()))
         });
         match self.kind {
             CurveKind::Cylinder => Factor::Axis {

@@ -323,25 +323,20 @@ impl Search<'_> {
         fitting.sort_by(|(a, a_plane, _), (b, b_plane, _)| {
             a.distance_squared.total_cmp(&b.distance_squared).then(a_plane.cmp(b_plane))
         });
-        for (i, &(fit, plane, at)) in fitting.iter().enumerate() {
-            // Pieces of one surface put the robot in one place: trying one of them is enough, that on which it
-            // lies. Not of one is a plank on the floor, which is as near while the height is open.
-            let belief = &so_far.node.belief;
-            let is_rival = |other: &(Fit, usize, usize)| {
-                other.1 != plane && self.question.same_surface(belief, other.1, plane)
-            };
-            let on = |at: usize| self.share_on(&so_far.node, depth, at);
-            let lies_elsewhere = || {
-                let is_near = |other: &&(Fit, usize, usize)| {
-                    other.1 != plane
-                        && self.question.nearly_coplanar(belief, other.1, plane, NEAR_M)
-                };
-                let mut rivals = fitting.iter().filter(is_near);
-                rivals.any(|other| on(other.2) > LIES_ON * on(at))
-            };
-            let is_tried =
-                |known: &(Fit, usize, usize)| is_rival(known) && on(known.2) * LIES_ON >= on(at);
-            if fitting[..i].iter().any(is_tried) || lies_elsewhere() {
+        let belief = &so_far.node.belief;
+        // Not of one surface is a plank on the floor, which is as near while the height is open.
+        let is_near =
+            |a: usize, b: usize| a != b && self.question.nearly_coplanar(belief, a, b, NEAR_M);
+        let on = |at: usize| self.share_on(&so_far.node, depth, at);
+        let lies_on = |&(_, plane, at): &(Fit, usize, usize)| {
+            let mut rivals = fitting.iter().filter(|rival| is_near(rival.1, plane));
+            !rivals.any(|rival| on(rival.2) > LIES_ON * on(at))
+        };
+        let fitting: Vec<(Fit, usize)> =
+            fitting.iter().filter(|it| lies_on(it)).map(|it| (it.0, it.1)).collect();
+        for (i, &(fit, plane)) in fitting.iter().enumerate() {
+            // Pieces of one surface put the robot in one place: trying one of them is enough.
+            if fitting[..i].iter().any(|known| self.question.same_surface(belief, known.1, plane)) {
                 continue;
             }
             let mut next = so_far.clone();

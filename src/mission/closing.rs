@@ -71,14 +71,16 @@ impl Running {
         self.look_last(end, desk)
     }
 
-    /// Takes in a sweep that will not be over in time.
+    /// Takes in a sweep that will not be over in time. It is the last one, whatever was to come after it.
     fn hand_over(&mut self, desk: &mut Desk<'_>) {
         if !matches!(self.activity, Activity::Sweep) {
             return;
         }
         let acquisition = self.acquisition.as_mut();
         let scan = acquisition.and_then(|it| it.stop_sweep("the time is up", desk.now));
-        if let Some(scan) = scan {
+        self.closing = Closing::Over;
+        self.queue.clear();
+        if let Some(scan) = scan.filter(|scan| scan.filed > 0) {
             self.finish_sweep(scan, desk);
         }
     }

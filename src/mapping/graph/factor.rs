@@ -338,7 +338,10 @@ impl Value {
 
 /// Scales the columns of a common-error Jacobian by the errors' standard deviations, so that the
 /// errors become variables of unit variance.
-pub fn scaled_errors(jacobian: &CommonColumns<3>, sigmas: &CommonErrors) -> CommonColumns<3> {
+pub fn scaled_errors<const N: usize>(
+    jacobian: &CommonColumns<N>,
+    sigmas: &CommonErrors,
+) -> CommonColumns<N> {
     jacobian * SMatrix::<f64, COMMON, COMMON>::from_diagonal(sigmas)
 }
 
