@@ -41,6 +41,7 @@ mod row_errors;
 mod scan_errors;
 mod shift;
 mod sight;
+mod upright;
 mod vantage;
 mod wall;
 
@@ -63,6 +64,8 @@ pub use scan_errors::{
     COMMON, CommonColumns, CommonErrors, ScanErrors, ScanObservations, common_error_jacobian,
     curve_error_jacobian,
 };
+
+pub use upright::upright;
 
 use lever::lever_covariance;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
@@ -156,6 +159,13 @@ impl Mapper {
         Self { mounted_within_m: sigma_m, ..self }
     }
 
+    /// The same, nothing observed and nothing driven yet, at another pose: the first scan has shown how the robot
+    /// stands.
+    #[must_use]
+    pub fn begun_at(&self, world_from_robot: Isometry3<f64>) -> Self {
+        Self::new(self.config.clone(), world_from_robot).mounted_within(self.mounted_within_m)
+    }
+
     /// Settings that the mapper runs with.
     pub fn config(&self) -> &MapperConfig {
         &self.config
@@ -231,7 +241,7 @@ impl Mapper {
     }
 
     /// Whether nothing was observed yet.
-    fn is_empty(&self) -> bool {
+    pub fn is_empty(&self) -> bool {
         match &self.engine {
             Engine::Mip { keyframes, .. } => keyframes.is_empty(),
             Engine::Full(full) => full.is_empty(),

@@ -11,15 +11,15 @@ use super::leg::{BentLeg, Leg};
 use super::lines::PendingLine;
 use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
 use crate::mapping::{
-    Mapper, MapperConfig, Mode, ScanErrors, ScanObservations, UpdateReport, curved_observations,
-    observations,
+    Mapper, MapperConfig, Mode, Observation, ScanErrors, ScanObservations, UpdateReport,
+    curved_observations, observations, upright,
 };
 use crate::robot::InsReading;
 use crate::scan::{RangeImage, Return};
 use crate::segmentation::{SegmentationConfig, Segmenter, Shape};
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
 use crate::time::Stamp;
-use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Point3, Unit, UnitQuaternion, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -352,6 +352,7 @@ impl Belief {
             errors,
             contacts: self.live.shape().contacts(),
         };
+        self.stand_as_seen(&scan.observations);
         if let Some(attitude) = self.motion.last_attitude() {
             let step_share = self.mapper.config().odometry.inertial.step_share;
             let drifted = self.motion.level_sigma_rad(step_share);
@@ -365,6 +366,24 @@ impl Belief {
         self.aligner.restart();
         let redrawn = self.settle(&update, image);
         ScanFindings { planes, spheres, cylinders, update, redrawn }
+    }
+
+    /// Before the first sweep is taken in, made where the robot began: if it shows that the robot does not stand as
+    /// it was said to, the map begins with the robot as it stands, and the inertial unit, which has missed that,
+    /// is off by it.
+    fn stand_as_seen(&mut self, observations: &[Observation]) {
+        if !self.mapper.is_empty() || self.leg.path_m() > 0.0 {
+            return;
+        }
+        let assumed = Unit::new_normalize(self.start.rotation.inverse() * Vector3::z());
+        let Some(up) = upright(observations, &assumed) else { return };
+        let (_, _, heading_rad) = self.start.rotation.euler_angles();
+        // Roll and pitch of `Rz Ry Rx` under which the vertical is `up` in the robot's frame.
+        let (roll_rad, pitch_rad) = (up.y.atan2(up.z), (-up.x).asin());
+        self.start.rotation = UnitQuaternion::from_euler_angles(roll_rad, pitch_rad, heading_rad);
+        self.mapper = self.mapper.begun_at(self.start);
+        self.restart(self.live.shape().clone());
+        self.motion.settle_attitude(&BodyAttitude { roll_rad, pitch_rad, heading_rad }, 0.0);
     }
 
     /// Tells the inertial unit's error from the pose that a sweep has given.
