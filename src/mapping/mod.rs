@@ -160,10 +160,11 @@ impl Mapper {
     }
 
     /// The same, nothing observed and nothing driven yet, at another pose: the first scan has shown how the robot
-    /// stands.
+    /// stands. The sensor's place on it is known by `mount_m` less well than was thought, in each axis.
     #[must_use]
-    pub fn begun_at(&self, world_from_robot: Isometry3<f64>) -> Self {
-        Self::new(self.config.clone(), world_from_robot).mounted_within(self.mounted_within_m)
+    pub fn begun_at(&self, world_from_robot: Isometry3<f64>, mount_m: f64) -> Self {
+        let within_m = self.mounted_within_m.hypot(mount_m);
+        Self::new(self.config.clone(), world_from_robot).mounted_within(within_m)
     }
 
     /// Settings that the mapper runs with.

@@ -24,6 +24,10 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::ops::Range;
 
+/// What a robot that stands tilted tells of its laser's place, in metres per radian: servers print differences of
+/// places in the world as if it stood level (protocol reference, sections 3.9 and 5.4).
+const MOUNT_PER_RAD_M: f64 = 0.1;
+
 /// Dead-reckoned poses kept for looking up where a line was taken.
 const HISTORY: usize = 64;
 
@@ -381,7 +385,8 @@ impl Belief {
         // Roll and pitch of `Rz Ry Rx` under which the vertical is `up` in the robot's frame.
         let (roll_rad, pitch_rad) = (up.y.atan2(up.z), (-up.x).asin());
         self.start.rotation = UnitQuaternion::from_euler_angles(roll_rad, pitch_rad, heading_rad);
-        self.mapper = self.mapper.begun_at(self.start);
+        let mount_m = MOUNT_PER_RAD_M * up.angle(&Vector3::z_axis());
+        self.mapper = self.mapper.begun_at(self.start, mount_m);
         self.restart(self.live.shape().clone());
         self.motion.settle_attitude(&BodyAttitude { roll_rad, pitch_rad, heading_rad }, 0.0);
     }

@@ -24,7 +24,8 @@ const REACH_QUANTILE: f64 = 0.75;
 /// How much farther the line that looks up must reach than the one that looks down.
 const TIMES_FARTHER: f64 = 1.5;
 /// A line that was believed to look down must reach this many times below the supposed ground before
-/// it is taken for one that looks up.
+/// it is taken for one that looks up, and the other no farther: it meets the ground that the robot stands on. From
+/// a slope a line that looks down may reach far below, into the room beyond.
 const BELOW_GROUND: f64 = 1.4;
 /// Fewer beams than this tell nothing.
 const FEWEST_BEAMS: usize = 20;
@@ -46,7 +47,10 @@ pub fn tilt_sign(
     };
     if height > TIMES_FARTHER * depth {
         SignVerdict::AsBelieved
-    } else if depth > TIMES_FARTHER * height && depth > BELOW_GROUND * view.laser_height_m() {
+    } else if depth > TIMES_FARTHER * height
+        && depth > BELOW_GROUND * view.laser_height_m()
+        && height < BELOW_GROUND * view.laser_height_m()
+    {
         SignVerdict::Inverted
     } else {
         SignVerdict::Undecided
@@ -216,6 +220,18 @@ mod tests {
             let verdict = tilt_sign(&view, (0.2, &up), (-0.2, &down));
             assert_ne!(verdict, SignVerdict::AsBelieved, "{origin_height_m}");
         }
+    }
+
+    #[test]
+    fn a_slope_inverts_nothing() {
+        let head = head();
+        let view = GroundView { head: &head, origin_height_m: 0.15, half_fov_rad: FRAC_PI_2 };
+        // Nose up by 0.13 rad on a ramp that ends before the robot, in a long room with a low roof.
+        let at = |tilt| line(HeadPose::tilted(tilt - 0.13), [14.0, 5.0, 5.0, 4.0], 1.9);
+        let (mut down, up) = (at(0.2), at(-0.2));
+        // The floor of the room lies half a metre below.
+        down.ranges_m.iter_mut().for_each(|range_m| *range_m *= 2.0);
+        assert_ne!(tilt_sign(&view, (0.2, &down), (-0.2, &up)), SignVerdict::Inverted);
     }
 
     #[test]

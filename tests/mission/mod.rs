@@ -117,3 +117,45 @@ fn a_robot_with_a_fixed_laser_keeps_its_place_by_its_lines() {
     // Odometry and inertial unit alone came to be 0.24 m off in this time.
     assert!(worst_m < 0.15, "{worst_m} m off on {path_m} m");
 }
+
+/// The box world with `more` in it and the robot set down in the middle, headed 20 degrees left of x.
+fn set_down_on(more: &str, height_m: f64, until_s: f64) -> usar_agent::mission::Agent {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = tempfile::tempdir().unwrap();
+    let map = std::fs::read_to_string(root.join("maps/box.toml")).unwrap();
+    let map = &map[..map.find("[[start]]").unwrap()];
+    let start =
+        format!("[[start]]\nname = \"A\"\nposition = [-1.5, 0.0, {height_m}]\nyaw_deg = 20.0\n");
+    std::fs::write(folder.path().join("map.toml"), format!("{map}{more}{start}")).unwrap();
+    let text = "map = \"map.toml\"\ntime_limit_s = 300.0\nseed = 1\ndialect = \"ut2004\"\n\n\
+                [[phase]]\nname = \"autonomous\"\nuntil_s = 300.0\n\n\
+                [[robot]]\nname = \"R1\"\nclass = \"USARBot.P3AT\"\nstart = \"A\"\n";
+    let path = folder.path().join("set_down.toml");
+    std::fs::write(&path, text).unwrap();
+    let mut loaded = usar_agent::files::scenario::load(&path, &[]).unwrap();
+    loaded.agent.mission.time_limit_s = until_s;
+    record(&loaded).0
+}
+
+#[test]
+fn a_robot_set_down_on_a_board_or_a_ramp_finds_out_how_it_stands() {
+    let board =
+        "[[box]]\nname = \"board\"\ncenter = [-1.3, 0.3, 0.015]\nsize = [0.5, 0.35, 0.03]\n";
+    let ramp = "[[wedge]]\nname = \"ramp\"\ncenter = [-1.0, 0.0, 0.25]\nsize = [4.0, 2.4, 0.5]\n";
+    for (more, height_m, least_rad) in [(board, 0.2, 0.02), (ramp, 0.5, 0.1)] {
+        let agent = set_down_on(more, height_m, 160.0);
+        let belief = agent.running().unwrap().belief();
+        let up = nalgebra::Vector3::z_axis();
+        let stood_rad = (belief.start().rotation * up).angle(&up);
+        assert!(stood_rad > least_rad, "{stood_rad} rad");
+        let turned_round = |text: &str| text.contains("turns the other way round");
+        assert!(!agent.journal().since(0).iter().any(|note| turned_round(&note.text)));
+        // What it sees from then on hangs together, and stands upright.
+        let mapper = belief.mapper();
+        let known = (1..mapper.keyframes().len()).map(|at| mapper.sightings(at).len());
+        assert!(known.clone().count() > 1 && known.min() > Some(2), "{least_rad}");
+        let walls = mapper.landmarks().iter().filter(|wall| wall.area_m2() > 4.0);
+        let upright = walls.filter(|wall| wall.normal().z.abs() < 0.003).count();
+        assert!(upright >= 3, "{upright} walls stand upright");
+    }
+}
