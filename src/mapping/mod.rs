@@ -121,7 +121,7 @@ enum Engine {
 const FIXING_PAIRS: usize = 3;
 
 /// Whether a scan has fixed the pose in all directions.
-fn is_fixed(report: &UpdateReport) -> bool {
+pub fn is_fixed(report: &UpdateReport) -> bool {
     report.weak_directions.is_empty() && report.associations.len() >= FIXING_PAIRS
 }
 

@@ -29,6 +29,9 @@ pub struct OdometryNoise {
     pub heading_per_m: f64,
     /// Heading error per radian turned: wheels slip sideways. Valid: 0 to 1.
     pub heading_per_rad: f64,
+    /// The same while nothing has told how much of the turns that the wheels count the robot makes: skid-steered
+    /// ones turn it by half to all of that. Valid: 0 to 1.
+    pub heading_unproven_per_rad: f64,
     /// Height error per metre of path. Valid: 0 to 1.
     pub height_per_m: f64,
     /// Pitch and roll error in radians per metre of path. Valid: 0 to 1.
@@ -92,10 +95,19 @@ impl Default for InertialNoise {
 pub enum MotionSource {
     /// The wheels of both sides.
     Wheels,
+    /// The same, where nothing has told yet how much of the turns that they count the robot makes.
+    UnprovenWheels,
     /// The way by the wheels, the turn by an inertial unit.
     InertialTurn,
     /// Way and turn by an inertial unit.
     Inertial,
+}
+
+impl MotionSource {
+    /// Whether an inertial unit had a part in it.
+    pub fn is_inertial(self) -> bool {
+        matches!(self, Self::InertialTurn | Self::Inertial)
+    }
 }
 
 impl Default for OdometryNoise {
@@ -107,6 +119,7 @@ impl Default for OdometryNoise {
             position_per_rad: 0.05,
             heading_per_m: 0.05,
             heading_per_rad: 0.12,
+            heading_unproven_per_rad: 0.3,
             height_per_m: 0.08,
             attitude_per_m: 0.06,
             inertial: InertialNoise::default(),
@@ -131,6 +144,8 @@ pub struct Motion {
     pub path_m: f64,
     /// Sum of the absolute turns in radians.
     pub turn_rad: f64,
+    /// Part of the turns that wheels gave of which no turn has been proven, in radians.
+    pub unproven_turn_rad: f64,
     /// Part of the path whose attitude an inertial unit gave, in metres.
     pub inertial_path_m: f64,
     /// Part of the turns that an inertial unit gave, in radians.
@@ -153,6 +168,7 @@ impl Default for Motion {
             before_from_after: Isometry3::identity(),
             path_m: 0.0,
             turn_rad: 0.0,
+            unproven_turn_rad: 0.0,
             inertial_path_m: 0.0,
             inertial_turn_rad: 0.0,
             inertial_steps_rad2: 0.0,
@@ -177,7 +193,10 @@ impl Motion {
         let turn_rad = before_from_after.rotation.angle();
         self.path_m += path_m;
         self.turn_rad += turn_rad;
-        if source != MotionSource::Wheels {
+        if source == MotionSource::UnprovenWheels {
+            self.unproven_turn_rad += turn_rad;
+        }
+        if source.is_inertial() {
             self.inertial_path_m += path_m;
             self.inertial_turn_rad += turn_rad;
             self.inertial_steps_rad2 += turn_rad * turn_rad;
@@ -242,6 +261,7 @@ impl OdometryNoise {
             fixed_rad,
             self.heading_per_m * wheel_path,
             self.heading_per_rad * wheel_turn,
+            self.heading_unproven_per_rad * motion.unproven_turn_rad,
             inertial.step_share * steps,
         ])
         .min(UNKNOWN_HEADING_RAD.powi(2));

@@ -12,7 +12,7 @@ use super::lines::PendingLine;
 use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
 use crate::mapping::{
     Mapper, MapperConfig, Mode, Observation, ScanErrors, ScanObservations, UpdateReport,
-    curved_observations, observations, upright,
+    curved_observations, is_fixed, observations, upright,
 };
 use crate::robot::InsReading;
 use crate::scan::{RangeImage, Return};
@@ -27,6 +27,9 @@ use std::ops::Range;
 /// What a robot that stands tilted tells of its laser's place, in metres per radian: servers print differences of
 /// places in the world as if it stood level (protocol reference, sections 3.9 and 5.4).
 const MOUNT_PER_RAD_M: f64 = 0.1;
+
+/// Part of the heading in a direction that a sweep leaves open from which on it tells no heading.
+const WEAK_HEADING: f64 = 0.3;
 
 /// Dead-reckoned poses kept for looking up where a line was taken.
 const HISTORY: usize = 64;
@@ -365,6 +368,7 @@ impl Belief {
         }
         let update = self.mapper.observe(&scan);
         self.settle_attitude(&update.world_from_robot);
+        self.settle_heading(&update);
         self.pending.clear();
         self.pending_flat.clear();
         self.aligner.restart();
@@ -400,6 +404,16 @@ impl Belief {
         let told_rad = covariance[(3, 3)].max(covariance[(4, 4)]).sqrt();
         let sigma_rad = if is_honest { told_rad } else { f64::INFINITY };
         self.motion.settle_attitude(&BodyAttitude { roll_rad, pitch_rad, heading_rad }, sigma_rad);
+    }
+
+    /// Tells the wheels how far the robot has turned since the sweep before.
+    fn settle_heading(&mut self, update: &UpdateReport) {
+        let begins = self.mapper.keyframes().len() == 1;
+        let is_open =
+            update.weak_directions.iter().any(|weak| weak.direction[5].abs() > WEAK_HEADING);
+        let tells = begins || (!update.associations.is_empty() && !is_open);
+        let heading_rad = update.world_from_robot.rotation.euler_angles().2;
+        self.motion.settle_heading(tells.then_some(heading_rad), begins || is_fixed(update));
     }
 
     /// The beams that are segmented: the configured ones of the paper's 181, the same angles of others.

@@ -1,6 +1,6 @@
 //! From wheel and inertial readings to one increment of motion at a time.
 
-use super::grip::Grip;
+use super::grip::{Grip, SweptTurn};
 use super::inertial_way::InertialWay;
 use super::leaps::Leaps;
 use super::level::LevelDrift;
@@ -72,6 +72,7 @@ pub struct MotionTracker {
     silent: u32,
     unheard_rad: f64,
     grip: Grip,
+    swept: SweptTurn,
     way: InertialWay,
     /// The increments so far put together, and whether an inertial unit had a part in the last.
     reckoned: Isometry3<f64>,
@@ -127,6 +128,12 @@ impl MotionTracker {
         self.drift.settle(known, sigma_rad);
     }
 
+    /// Takes in the heading at the last reading as a sweep tells it, `None` if it tells none, and whether many
+    /// surfaces do.
+    pub fn settle_heading(&mut self, told_rad: Option<f64>, many_tell: bool) {
+        self.swept.settle(told_rad, many_tell, &mut self.grip);
+    }
+
     /// Takes in a wheel odometry pose; gives the robot's pose now in its own frame at the reading
     /// before, and what measured it. `None` for the first reading, which is only the origin, and for
     /// one that leaps, until the next is near it.
@@ -134,7 +141,7 @@ impl MotionTracker {
         let (increment, source) = self.increment(wheels)?;
         self.reckoned *= increment;
         self.reckoned.rotation.renormalize();
-        self.is_inertial = source != MotionSource::Wheels;
+        self.is_inertial = source.is_inertial();
         Some((increment, source))
     }
 
@@ -178,8 +185,18 @@ impl MotionTracker {
                 }
                 (turn, before, after, MotionSource::InertialTurn)
             }
-            _ => (wheel_turn * self.grip.share(), (0.0, 0.0), (0.0, 0.0), MotionSource::Wheels),
+            _ => {
+                let source = match self.grip.is_proven() {
+                    true => MotionSource::Wheels,
+                    false => MotionSource::UnprovenWheels,
+                };
+                (wheel_turn * self.grip.share(), (0.0, 0.0), (0.0, 0.0), source)
+            }
         };
+        match source.is_inertial() {
+            true => self.swept.forget(),
+            false => self.swept.add(wheel_turn),
+        }
         let (sin, cos) = (0.5 * turn).sin_cos();
         let mut increment = tilted_increment(
             cos * along - sin * across,
@@ -227,7 +244,7 @@ mod tests {
             y += 0.05 * (heading + 0.5 * turn).sin();
             heading += turn;
             let (increment, source) = tracker.wheels(pose(x, y, wrap_pi(heading))).unwrap();
-            assert_eq!(source, MotionSource::Wheels);
+            assert_eq!(source, MotionSource::UnprovenWheels);
             world *= increment;
         }
         let expected = nalgebra::Rotation2::new(-0.3) * nalgebra::Vector2::new(x, y);
