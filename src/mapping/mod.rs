@@ -159,12 +159,13 @@ impl Mapper {
         Self { mounted_within_m: sigma_m, ..self }
     }
 
-    /// The same, nothing observed and nothing driven yet, at another pose: the first scan has shown how the robot
-    /// stands. The sensor's place on it is known by `mount_m` less well than was thought, in each axis.
+    /// The same, nothing observed yet, begun at another pose: the first scan has shown how the robot stands. The motion
+    /// since is kept. The sensor's place on it is known by `mount_m` less well than was thought, in each axis.
     #[must_use]
     pub fn begun_at(&self, world_from_robot: Isometry3<f64>, mount_m: f64) -> Self {
         let within_m = self.mounted_within_m.hypot(mount_m);
-        Self::new(self.config.clone(), world_from_robot).mounted_within(within_m)
+        let begun = Self::new(self.config.clone(), world_from_robot).mounted_within(within_m);
+        Self { motion: self.motion, ..begun }
     }
 
     /// Settings that the mapper runs with.

@@ -376,19 +376,20 @@ impl Belief {
         ScanFindings { planes, spheres, cylinders, update, redrawn }
     }
 
-    /// Before the first sweep is taken in, made where the robot began: if it shows that the robot does not stand as
-    /// it was said to, the map begins with the robot as it stands, and the inertial unit, which has missed that,
-    /// is off by it.
+    /// Before the first sweep is taken in: if it shows that the robot does not stand as it was said to, the map begins
+    /// so that it does, and the inertial unit, which has missed that, is off by it.
     fn stand_as_seen(&mut self, observations: &[Observation]) {
-        if !self.mapper.is_empty() || self.leg.path_m() > 0.0 {
+        if !self.mapper.is_empty() {
             return;
         }
-        let assumed = Unit::new_normalize(self.start.rotation.inverse() * Vector3::z());
+        let world_from_robot = self.world_from_robot();
+        let assumed = Unit::new_normalize(world_from_robot.rotation.inverse() * Vector3::z());
         let Some(up) = upright(observations, &assumed) else { return };
-        let (_, _, heading_rad) = self.start.rotation.euler_angles();
+        let (_, _, heading_rad) = world_from_robot.rotation.euler_angles();
         // Roll and pitch of `Rz Ry Rx` under which the vertical is `up` in the robot's frame.
         let (roll_rad, pitch_rad) = (up.y.atan2(up.z), (-up.x).asin());
-        self.start.rotation = UnitQuaternion::from_euler_angles(roll_rad, pitch_rad, heading_rad);
+        let stands = UnitQuaternion::from_euler_angles(roll_rad, pitch_rad, heading_rad);
+        self.start.rotation = stands * self.leg.begin_from_robot().rotation.inverse();
         let mount_m = MOUNT_PER_RAD_M * up.angle(&Vector3::z_axis());
         self.mapper = self.mapper.begun_at(self.start, mount_m);
         self.restart(self.live.shape().clone());
