@@ -1,13 +1,14 @@
 #!/usr/bin/env python3
 """Draws worlds that nobody has tuned anything to and flies each once.
 
-usage: random_worlds.py USAR FOLDER [FIRST LAST]
+usage: random_worlds.py USAR FOLDER [FIRST LAST [board|no-ins]]
 USAR is the program, FOLDER takes worlds/N.toml, scenarios/N.toml and runs/N; FIRST and LAST are numbers of worlds, 1
 and 40 where nothing is said. A world is a walled hall of 7 to 18 m with pits in its floor, inner walls with
 doorways, crates, planks, tables, beams, columns, balls, kerbs, ramps, platforms, leaning boards and slabs, begun at
 any heading; odd ones are on a UDK server, half of the even ones have noisier ranges and wheels that slip. Told are
 coverage, way, the end's error, NEES (6 expected), pairs right and wrong, falls, collisions and times that the robot
-stood wedged. Ten to fifteen seconds a flight of 500 s on one free core."""
+stood wedged. With `board` one wheel of the robot is set down on a board of 2 to 5 cm, with `no-ins` its inertial unit
+never tells anything. Ten to fifteen seconds a flight of 500 s on one free core."""
 import json
 import math
 import os
@@ -141,13 +142,23 @@ class Draw:
             lean = (r.uniform(-10.0, 10.0), r.uniform(-10.0, 10.0), yaw)
             self.solid("box", (x, y, 0.08), lean, size=(r.uniform(0.6, 1.4), r.uniform(0.5, 1.0), 0.08))
 
-    def world(self, number):
+    def board(self, number, yaw_deg):
+        """A board under one wheel of a robot that begins so headed."""
+        r = random.Random(-number)
+        towards, high_m = math.radians(yaw_deg + r.choice([52, -52, 132, -132])), r.uniform(0.02, 0.05)
+        x, y = (at + 0.33 * part for at, part in zip(self.start, (math.cos(towards), math.sin(towards))))
+        self.solid("box", (x, y, high_m / 2), (0.0, 0.0, r.uniform(0.0, 90.0)), size=(0.35, 0.35, high_m))
+
+    def world(self, number, trouble):
         self.floor()
         self.walls()
         for _ in range(self.r.randint(4, 14)):
             self.thing()
         x, y = self.half
-        start = f"position = [{self.start[0]:.3f}, {self.start[1]:.3f}, 0.2]\nyaw_deg = {self.r.uniform(0, 360):.1f}"
+        yaw_deg = self.r.uniform(0, 360)
+        if trouble == "board":
+            self.board(number, yaw_deg)
+        start = f"position = [{self.start[0]:.3f}, {self.start[1]:.3f}, 0.2]\nyaw_deg = {yaw_deg:.1f}"
         head = f'name = "random {number}"\nbounds = [{-x}, {-y}, {x}, {y}]\n'
         return "\n".join([head, *self.lines, f'[[start]]\nname = "StartA"\n{start}\n'])
 
@@ -166,10 +177,15 @@ def scenario(number, world, draw):
             '[[robot]]\nname = "R1"\nclass = "USARBot.P3AT"\nstart = "StartA"\n')
 
 
-def fly(usar, folder, number):
+SILENT_UNIT = '\n[[fault]]\nat_s = 0.0\nfor_s = 9000.0\nrobot = "R1"\nkind = "sensor_loss"\nwhat = "INS"\n'
+
+
+def fly(usar, folder, number, trouble):
     draw = Draw(number)
     paths = [os.path.join(folder, kind, f"{number}.toml") for kind in ("worlds", "scenarios")]
-    for path, text in zip(paths, (draw.world(number), scenario(number, f"../worlds/{number}.toml", draw.r))):
+    world = draw.world(number, trouble)
+    fault = SILENT_UNIT if trouble == "no-ins" else ""
+    for path, text in zip(paths, (world, scenario(number, f"../worlds/{number}.toml", draw.r) + fault)):
         os.makedirs(os.path.dirname(path), exist_ok=True)
         with open(path, "w") as file:
             file.write(text)
@@ -183,14 +199,15 @@ def fly(usar, folder, number):
 
 
 def main():
-    if len(sys.argv) not in (3, 5):
+    trouble = sys.argv[5] if len(sys.argv) == 6 else None
+    if len(sys.argv) not in (3, 5, 6) or trouble not in (None, "board", "no-ins"):
         sys.exit(__doc__)
-    first, last = (int(word) for word in sys.argv[3:5]) if len(sys.argv) == 5 else (1, 40)
+    first, last = (int(word) for word in sys.argv[3:5]) if len(sys.argv) >= 5 else (1, 40)
     print("| World | Coverage | Way, m | End, m | End, ° | NEES (6) | Right, wrong | Falls, collisions | Wedged |")
     print("|---|---|---|---|---|---|---|---|---|")
     right = wrong = 0
     for number in range(first, last + 1):
-        score, report, wedged = fly(sys.argv[1], sys.argv[2], number)
+        score, report, wedged = fly(sys.argv[1], sys.argv[2], number, trouble)
         ate, pairs = score["ate"], score["associations"] or {"right": 0, "wrong": 0}
         nees = f"{score['nees']['mean']:.1f}" if score["nees"] else "-"
         right, wrong = right + pairs["right"], wrong + pairs["wrong"]
