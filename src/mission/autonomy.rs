@@ -52,8 +52,8 @@ const CUT_OFF_FROM_M: f64 = 1.0;
 /// Way in metres up to which the robot is at its start, the only place where a gap is assumed.
 pub(super) const START_M: f64 = 1.0;
 
-/// Looks to other sides before the first way: with the one ahead, all around.
-const LOOKS_AROUND: u32 = 2;
+/// Sixths of a turn that are looked at before the first way: with the one ahead, all around.
+const LOOKS_AROUND: u32 = 4;
 
 /// Rows of the sweep by which a tilt that showed no ground is tried again, in degrees.
 const TRIED_AGAIN_DEG: f64 = 1.0;
@@ -302,21 +302,23 @@ impl Running {
     /// sight than ahead of its beginning, and only what was seen from the beginning tells by how much
     /// the wheels were wrong. Returns whether it turns.
     fn look_around(&mut self, desk: &mut Desk<'_>) -> bool {
-        if self.acquisition.is_none() || self.looks_around == LOOKS_AROUND {
+        if self.acquisition.is_none() || self.looks_around >= LOOKS_AROUND {
             return false;
         }
-        self.looks_around += 1;
+        self.looks_around += if self.belief.knows_turns() { 2 } else { 1 };
         self.belief.path_m() < START_M && self.turn_to_look("before setting out", desk)
     }
 
-    /// Turns by a third to look there; false where there is no room.
+    /// Turns by a third to look there; false where there is no room. By half of that while nobody knows how much of
+    /// their turns its wheels make: what is seen then is still known from before, and tells.
     fn turn_to_look(&mut self, why: &str, desk: &mut Desk<'_>) -> bool {
         let costs = self.costs(desk);
         let pose = self.pose2();
         let cell = self.grid.cell_of(pose.x_m, pose.y_m);
         let Ok(path) = self.planner.plan(&self.grid, &costs, &pose, cell) else { return false };
         desk.info(format!("{why}: turning to look the other ways"));
-        self.pilot.set_path(path.with_goal_yaw(wrap_pi(pose.yaw_rad + THIRD_OF_A_TURN)));
+        let turn_rad = if self.belief.knows_turns() { 1.0 } else { 0.5 } * THIRD_OF_A_TURN;
+        self.pilot.set_path(path.with_goal_yaw(wrap_pi(pose.yaw_rad + turn_rad)));
         self.park(desk);
         self.activity = Activity::Drive(Drive { since: desk.now, path_m: 0.0, replans: REPLANS });
         true

@@ -276,6 +276,11 @@ impl Belief {
         self.motion.last_attitude()
     }
 
+    /// Whether turns between sweeps are measured by more than wheels that nobody has seen to turn the robot.
+    pub fn knows_turns(&self) -> bool {
+        self.motion.knows_turns()
+    }
+
     /// Where the robot is from where its readings began, by more than its wheels.
     pub fn reckoned(&self) -> Option<&Isometry3<f64>> {
         self.motion.reckoned()

@@ -128,6 +128,11 @@ impl MotionTracker {
         self.drift.settle(known, sigma_rad);
     }
 
+    /// Whether an inertial unit tells of turns, or it is known how much of them the wheels make.
+    pub fn knows_turns(&self) -> bool {
+        self.attitude.is_some() || self.grip.is_proven()
+    }
+
     /// Takes in the heading at the last reading as a sweep tells it, `None` if it tells none, and whether many
     /// surfaces do.
     pub fn settle_heading(&mut self, told_rad: Option<f64>, many_tell: bool) {

@@ -133,7 +133,7 @@ pub struct Running {
     pub(super) resorts: u32,
     /// Whether a calibration that found nothing was repeated.
     pub(super) calibrated_again: bool,
-    /// Looks to the other sides that were taken, or tried, where the robot began.
+    /// Sixths of a turn by which it was turned, or tried to be, to look to the other sides where the robot began.
     pub(super) looks_around: u32,
     pub(super) give_ups: u32,
     pub(super) battery_s: Option<i64>,
