@@ -64,7 +64,6 @@ pub use scan_errors::{
     COMMON, CommonColumns, CommonErrors, ScanErrors, ScanObservations, common_error_jacobian,
     curve_error_jacobian,
 };
-
 pub use upright::upright;
 
 use lever::lever_covariance;
@@ -120,7 +119,7 @@ enum Engine {
 /// Pairs that fix a pose.
 const FIXING_PAIRS: usize = 3;
 
-/// Whether a scan has fixed the pose in all directions.
+/// Whether a scan has fixed the pose in all directions, by so many surfaces that they hardly agree by chance.
 pub fn is_fixed(report: &UpdateReport) -> bool {
     report.weak_directions.is_empty() && report.associations.len() >= FIXING_PAIRS
 }

@@ -191,16 +191,18 @@ impl MotionTracker {
                 (turn, before, after, MotionSource::InertialTurn)
             }
             _ => {
-                let source = match self.grip.is_proven() {
-                    true => MotionSource::Wheels,
-                    false => MotionSource::UnprovenWheels,
+                let source = if self.grip.is_proven() {
+                    MotionSource::Wheels
+                } else {
+                    MotionSource::UnprovenWheels
                 };
                 (wheel_turn * self.grip.share(), (0.0, 0.0), (0.0, 0.0), source)
             }
         };
-        match source.is_inertial() {
-            true => self.swept.forget(),
-            false => self.swept.add(wheel_turn),
+        if source.is_inertial() {
+            self.swept.forget();
+        } else {
+            self.swept.add(wheel_turn);
         }
         let (sin, cos) = (0.5 * turn).sin_cos();
         let mut increment = tilted_increment(
