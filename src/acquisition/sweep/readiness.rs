@@ -6,9 +6,11 @@ use crate::acquisition::control::HeadControl;
 use crate::acquisition::track::Verdict;
 use crate::time::{Span, Stamp};
 
-/// Readings that show a joint of unknown law at rest: so many, over so long a time. A spring under
-/// 5 Hz cannot pass through the tolerance three times in a fifth of a second.
-const RESTING_READINGS: (usize, Span) = (3, Span::from_millis(200));
+/// Readings that show a joint of unknown law at rest: so many, over so long a time. A spring whose
+/// half swing lasts as long as the time between two readings is read on its way through its target
+/// each time; by the fifth its swing has died away, or got out of step. Three were met by one spring
+/// of 2500, of 26 to 32 rad/s and little damped, five by one of 300 000.
+const RESTING_READINGS: (usize, Span) = (5, Span::from_millis(350));
 
 /// Whether a line may be filed.
 pub(super) enum Readiness {
