@@ -44,6 +44,7 @@ mod sight;
 mod upright;
 mod vantage;
 mod wall;
+pub mod wall_alignment;
 
 pub use association::AssociationConfig;
 pub use curved::{CurveKind, CurvedLandmark, CurvedObservation, curved_observations};

@@ -9,7 +9,6 @@ use crate::acquisition::{Acquisition, ParkState, Profile, SweepRequest};
 use crate::exploration::Decision;
 use crate::geometry::wrap_pi;
 use crate::navigation::{CostMap, DriveCommand, RecoveryStep, Trouble};
-use crate::robot::HeadPose;
 use crate::terrain::CellClass;
 use crate::time::{Arrival, Span};
 
@@ -351,18 +350,6 @@ impl Running {
         true
     }
 
-    pub(super) fn park(&mut self, desk: &mut Desk<'_>) {
-        let Some(guard) = self.pilot.guard_tilt() else { return };
-        let Some(acquisition) = &mut self.acquisition else { return };
-        let pose = HeadPose::tilted(guard.tilt.radians());
-        let actions = acquisition.park(pose, desk.now);
-        self.head_actions(actions, desk);
-    }
-
-    pub(super) fn parked(&self, now: Arrival) -> ParkState {
-        self.acquisition.as_ref().map_or(ParkState::NotParked, |a| a.parked(now))
-    }
-
     fn drive_cycle(&mut self, drive: Drive, desk: &mut Desk<'_>) {
         if desk.now - drive.since > Span::from_seconds(desk.config.mission.goal_timeout_s) {
             self.explorer.give_up("it took too long", desk.now);
@@ -378,13 +365,17 @@ impl Running {
         let parked = self.parked(desk.now);
         match parked {
             ParkState::NotParked => self.park(desk),
+            _ if self.looks_level => {}
             parked => self.consider_nod(parked, desk),
         }
         let parked = self.parked(desk.now);
         let pose = self.pose2();
         let (command, progress) = self.pilot.follow(&pose, &self.grid, parked, desk.now);
         match progress {
-            Progress::Going => self.drive(command, desk),
+            Progress::Going => {
+                let command = self.held_level_for(command, desk);
+                self.drive(command, desk);
+            }
             Progress::Reached => {
                 self.explorer.reached();
                 self.give_ups = 0;

@@ -10,6 +10,7 @@ use super::alignment::LineAligner;
 use super::leg::{BentLeg, Leg};
 use super::lines::PendingLine;
 use super::motion::{BodyAttitude, MotionTracker, PlanarPose};
+use super::wall_alignment::WallAligner;
 use crate::mapping::{
     Mapper, MapperConfig, Mode, Observation, ScanErrors, ScanObservations, UpdateReport,
     curved_observations, is_fixed, observations, upright,
@@ -153,7 +154,7 @@ pub struct Belief {
     segmenter: Option<Segmenter>,
     pub(super) settled: Terrain,
     pub(super) live: Terrain,
-    motion: MotionTracker,
+    pub(super) motion: MotionTracker,
     /// Poses since the last keyframe, newest last.
     pub(super) history: VecDeque<(Stamp, Isometry3<f64>)>,
     /// The way since the last keyframe.
@@ -162,6 +163,7 @@ pub struct Belief {
     pub(super) pending_flat: VecDeque<PendingLine>,
     pub(super) flat_lines: usize,
     pub(super) aligner: LineAligner,
+    pub(super) walls: WallAligner,
     /// One for each keyframe.
     settled_legs: Vec<Settled>,
     start: Isometry3<f64>,
@@ -194,6 +196,7 @@ impl Belief {
             pending_flat: VecDeque::new(),
             flat_lines: 0,
             aligner: LineAligner::default(),
+            walls: WallAligner::default(),
             settled_legs: Vec::new(),
             start,
             first_from_start: Isometry3::identity(),
@@ -299,6 +302,7 @@ impl Belief {
         let Some((increment, source)) = self.motion.wheels(wheels) else { return };
         self.mapper.predict(&increment, source);
         self.aligner.moved(&increment, source);
+        self.walls.moved(&increment, source);
         self.path_m += increment.translation.vector.norm();
         let is_new_place = self.leg.drive(stamp, &increment);
         if self.history.len() == HISTORY {
@@ -319,6 +323,7 @@ impl Belief {
         self.pending.clear();
         self.pending_flat.clear();
         self.aligner.restart();
+        self.walls = WallAligner::default();
     }
 
     /// Takes in that the robot is at `world_from_robot` now though nothing measured how it came there:
@@ -377,6 +382,7 @@ impl Belief {
         self.pending.clear();
         self.pending_flat.clear();
         self.aligner.restart();
+        self.walls = WallAligner::default();
         let redrawn = self.settle(&update, image);
         ScanFindings { planes, spheres, cylinders, update, redrawn }
     }

@@ -70,6 +70,11 @@ impl SweptTurn {
         self.to_and_fro_rad += by_wheels_rad.abs();
     }
 
+    /// Whether the wheels have turned far enough since a heading was told for the next to teach something.
+    pub(super) fn is_telling(&self) -> bool {
+        self.by_wheels_rad.abs() >= Self::TURNED_RAD
+    }
+
     /// Turns that something else has told say nothing of the wheels.
     pub(super) fn forget(&mut self) {
         *self = Self::default();

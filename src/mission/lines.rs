@@ -17,6 +17,8 @@ pub(super) struct PendingLine {
     robot_from_sensor: Isometry3<f64>,
     tilt_rad: f64,
     cast: Stamp,
+    /// Whether it is known well enough where the laser was to map what it shows.
+    is_sure: bool,
 }
 
 /// A robot on its way.
@@ -56,13 +58,14 @@ impl Belief {
     }
 
     /// Takes in a line of the resting laser at `robot_from_sensor` whose rays were cast at `cast`. It is
-    /// mapped once odometry tells where the robot was then.
+    /// mapped once odometry tells where the robot was then, unless it is not `is_sure` where the laser was.
     pub fn take_line(
         &mut self,
         line: &LaserLine,
         robot_from_sensor: &Isometry3<f64>,
         tilt_rad: f64,
         cast: Stamp,
+        is_sure: bool,
     ) {
         // A line that no odometry follows says where the robot still is.
         if self.pending.len() == MOST_PENDING {
@@ -73,6 +76,7 @@ impl Belief {
             robot_from_sensor: *robot_from_sensor,
             tilt_rad,
             cast,
+            is_sure,
         });
         self.map_pending();
     }
@@ -100,9 +104,10 @@ impl Belief {
 
     /// Maps a line, unless the robot turned too fast for it.
     fn map_line(&mut self, pending: &PendingLine) {
-        let PendingLine { line, robot_from_sensor, tilt_rad, cast } = pending;
-        let Some(Passing { keyframe_from_robot, turn_rps, .. }) = self.at(*cast) else { return };
-        if turn_rps > self.config.mapped_turn_rps {
+        let PendingLine { line, robot_from_sensor, tilt_rad, cast, is_sure } = pending;
+        let Some(passing) = self.at(*cast) else { return };
+        let keyframe_from_robot = self.hold_against_walls(line, robot_from_sensor, &passing);
+        if !is_sure || passing.turn_rps > self.config.mapped_turn_rps {
             return;
         }
         let bearings = (0..line.len()).map(|beam| line.bearing_rad(beam)).collect();
@@ -138,7 +143,13 @@ impl Belief {
             self.pending_flat.pop_front();
         }
         let (line, robot_from_sensor) = (line.clone(), *robot_from_sensor);
-        self.pending_flat.push_back(PendingLine { line, robot_from_sensor, tilt_rad: 0.0, cast });
+        self.pending_flat.push_back(PendingLine {
+            line,
+            robot_from_sensor,
+            tilt_rad: 0.0,
+            cast,
+            is_sure: true,
+        });
         self.map_pending();
     }
 

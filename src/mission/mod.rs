@@ -37,6 +37,8 @@ mod slow_line;
 mod sweeps;
 mod tally;
 mod teleop;
+mod turning;
+mod wall_alignment;
 
 pub use agent::Agent;
 pub use belief::{Belief, BeliefConfig, ScanFindings};

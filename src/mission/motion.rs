@@ -139,6 +139,13 @@ impl MotionTracker {
         self.swept.settle(told_rad, many_tell, &mut self.grip);
     }
 
+    /// The same on the way between two sweeps, once the robot has turned far enough since the first for it to tell.
+    pub fn settle_heading_on_way(&mut self, told_rad: f64) {
+        if self.swept.is_telling() {
+            self.swept.settle(Some(told_rad), true, &mut self.grip);
+        }
+    }
+
     /// Takes in a wheel odometry pose; gives the robot's pose now in its own frame at the reading
     /// before, and what measured it. `None` for the first reading, which is only the origin, and for
     /// one that leaps, until the next is near it.

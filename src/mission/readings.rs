@@ -139,14 +139,22 @@ impl Running {
         if let Some(pose) = head.filter(|_| parked.covers(line.stamp)) {
             let robot_from_sensor = self.rig.robot_from_sensor(pose);
             let world_from_robot = self.belief.world_from_robot();
-            let clear =
-                self.pilot.watch(line, &robot_from_sensor, &world_from_robot, &self.grid, desk.now);
+            let clear = !self.looks_level
+                && self.pilot.watch(
+                    line,
+                    &robot_from_sensor,
+                    &world_from_robot,
+                    &self.grid,
+                    desk.now,
+                );
             // Where no reading says that the tilt is there, only ground where it should be does: what
             // contradicts it may be seen under another tilt, and a sweep has to tell.
             let sure = clear || matches!(parked, ParkState::Verified { .. });
-            if sure && !matches!(self.activity, Activity::Sweep | Activity::Settle { .. }) {
+            if (sure || self.looks_level)
+                && !matches!(self.activity, Activity::Sweep | Activity::Settle { .. })
+            {
                 let cast = acquisition.control().cast_time(line);
-                self.belief.take_line(line, &robot_from_sensor, pose.tilt_rad, cast);
+                self.belief.take_line(line, &robot_from_sensor, pose.tilt_rad, cast, sure);
             }
         }
         self.head_event(&HeadEvent::Line(line), desk);

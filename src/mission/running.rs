@@ -131,6 +131,8 @@ pub struct Running {
     pub(super) bridged: Vec<Pose2>,
     /// Last resorts tried since the robot last had somewhere to go.
     pub(super) resorts: u32,
+    /// Whether the head is parked level for a turn, not to guard.
+    pub(super) looks_level: bool,
     /// Whether a calibration that found nothing was repeated.
     pub(super) calibrated_again: bool,
     /// Sixths of a turn by which it was turned, or tried to be, to look to the other sides where the robot began.
@@ -201,6 +203,7 @@ impl Running {
             shunned: Vec::new(),
             bridged: Vec::new(),
             resorts: 0,
+            looks_level: false,
             calibrated_again: false,
             looks_around: 0,
             give_ups: 0,
