@@ -246,7 +246,16 @@ impl<'a> Fork<'a> {
             so_far = widening;
             let wide = self.estimate.prepare(self.arrival, self.config, widening);
             let mut claims = self.claims(wide, log_prior);
-            claims.retain(|claim| claim.assignment.pairs.len() >= least);
+            // Where the first circle is as wide as any, slips lie within it.
+            let holds_slips = f64::min(SLIPPED, widest) <= widening;
+            claims.retain_mut(|claim| {
+                let pairs = claim.assignment.pairs.len();
+                if pairs < least && holds_slips {
+                    claim.log_prior = LOG_SLIPPED;
+                    return pairs >= least_slipped;
+                }
+                pairs >= least
+            });
             let weighed = self.weigh(claims);
             let ends = weighed.iter().any(|found| stands_elsewhere(found, guess));
             found.extend(weighed);

@@ -30,6 +30,9 @@ const DEAD: f64 = 15.0;
 const MOST_HYPOTHESES: usize = 3;
 const LONGEST_BEHIND: usize = 12;
 
+/// A scan is not explained at all where its best explanation's logarithm is less.
+const UNEXPLAINED: f64 = -25.0;
+
 /// One explanation of everything seen so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Hypothesis {
@@ -101,6 +104,7 @@ impl Full {
         for parent in 0..self.hypotheses.len() {
             self.branch(parent, &arrival, &mut prepared, &mut branches);
         }
+        leave_undecided(&mut branches);
         hold_back(&mut branches);
         branches.sort_by(|a, b| b.log_weight.total_cmp(&a.log_weight));
         let best = branches[0].log_weight;
@@ -270,6 +274,20 @@ fn keep_one_per_place(branches: &mut Vec<Branch>) {
         places.extend((!known).then_some((branch.parent, place)));
         !known
     });
+}
+
+/// What no explanation explains speaks for none of them: by how much each of them misses it is chance.
+fn leave_undecided(branches: &mut [Branch]) {
+    let parents = branches.iter().map(|branch| branch.parent).max().map_or(0, |last| last + 1);
+    for parent in 0..parents {
+        let own = |branch: &Branch| branch.parent == parent;
+        let scores = branches.iter().filter(|branch| own(branch));
+        let best =
+            scores.map(|branch| branch.way.explanation.score).fold(f64::NEG_INFINITY, f64::max);
+        for branch in branches.iter_mut().filter(|branch| own(branch)) {
+            branch.log_weight += (UNEXPLAINED - best).max(0.0);
+        }
+    }
 }
 
 /// Explanations that have the robot carried elsewhere stay behind those that follow odometry until what
