@@ -83,7 +83,7 @@ impl<'a> Wall<'a> {
     ) -> Option<Point2<f64>> {
         if target.z > margin_m && target.z < before_m {
             let at = target.xy();
-            return (self.solid_at(target) && would_hide(&at, target.z)).then_some(at);
+            return (self.hit_at(target) && would_hide(&at, target.z)).then_some(at);
         }
         let ray = target - self.eye;
         if target.z > -margin_m || -ray.z < GRAZING_SINE * ray.norm() {
@@ -91,6 +91,13 @@ impl<'a> Wall<'a> {
         }
         let crossing = self.eye + ray * (self.eye.z / -ray.z);
         self.solid_at(&crossing).then(|| crossing.xy())
+    }
+
+    /// Whether the landmark was hit at a point in its frame. What stands before that was seen from where it would
+    /// have hidden it or not: unlike what is seen through it, that does not hang on where its edges are.
+    fn hit_at(&self, point: &Point3<f64>) -> bool {
+        let at = point.xy();
+        self.landmark.is_solid_about(&at, 0) && !self.openings.iter().any(|part| part.holds(&at))
     }
 
     /// Whether a surface so many metres before a point of the landmark would have hidden it from where it was
