@@ -233,9 +233,9 @@ impl Mapper {
                 let told = motion.before_from_after;
                 let widened = self.trust.widened(&told, &covariance);
                 let report = full.observe(&told, &widened, attitude, scan);
-                if is_fixed(&report) {
+                if report.associations.len() >= FIXING_PAIRS {
                     let found = before.inverse() * report.world_from_robot;
-                    self.trust.learn(&told, &covariance, &found);
+                    self.trust.learn(&told, &covariance, &found, &report.weak_directions);
                 }
                 report
             }
