@@ -93,8 +93,7 @@ fn score(folder: &Path, arguments: &EvalArguments) -> Result<Evaluation> {
         ));
     } else if files.keyframes.iter().skip(1).all(|keyframe| keyframe.motion_covariance.is_none()) {
         say::warn(format_args!(
-            "{}: no covariances in keyframes.json, as the paper's filter keeps none of motions, so no \
-             NEES is told",
+            "{}: no covariances in keyframes.json, so no NEES is told",
             folder.display()
         ));
     }

@@ -224,8 +224,10 @@ impl Score {
             let error = crate::mapping::perturbation::pose_error(&motion, &true_motion);
             score.translation_m.push(error.fixed_rows::<3>(0).norm());
             score.rotation_rad.push(error.fixed_rows::<3>(3).norm());
-            let nees = mapper
-                .motion_covariance(k - 1, k)
+            // The paper's filter forgets where it was before.
+            let is_kept = mapper.config().mode == Mode::Full;
+            let covariance = mapper.motion_covariance(k - 1, k).filter(|_| is_kept);
+            let nees = covariance
                 .and_then(nalgebra::Matrix::cholesky)
                 .map(|cholesky| error.dot(&cholesky.solve(&error)));
             score.nees.extend(nees);
@@ -400,7 +402,7 @@ fn summary(mapper: &Mapper, steps: &[Step], score: Option<&Score>) -> String {
     let _ = writeln!(text, "{} landmarks", mapper.surface_count());
     if let Some(score) = score {
         let nees = score.mean_nees().map_or_else(
-            || "no NEES: the paper's filter keeps no covariance of motions".to_owned(),
+            || "no NEES: no covariance of the motions from scan to scan".to_owned(),
             |nees| format!("NEES {nees:.2} (6 expected)"),
         );
         let _ = writeln!(

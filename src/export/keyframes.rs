@@ -2,7 +2,7 @@
 //! took each plane for.
 
 use super::evaluate::Patch;
-use crate::mapping::Mapper;
+use crate::mapping::{Mapper, Mode};
 use crate::mission::Belief;
 use crate::time::Stamp;
 use nalgebra::{Isometry3, Matrix6, Point3};
@@ -16,9 +16,10 @@ pub struct Keyframe {
     /// Estimated pose in the map frame: `translation` in metres, `rotation` as a quaternion (x, y, z, w).
     pub pose: Isometry3<f64>,
     /// Covariance of the motion from the first keyframe, as a perturbation (translation in metres, rotation
-    /// vector in radians) in the frame of the first; `None` in the paper's mode, which keeps none.
+    /// vector in radians) in the frame of the first.
     pub motion_covariance: Option<Matrix6<f64>>,
-    /// The same of the motion from the keyframe before, in the frame of that one; `None` for the first.
+    /// The same of the motion from the keyframe before, in the frame of that one; `None` for the first, and in the
+    /// paper's mode, which forgets where it was before.
     #[serde(default)]
     pub step_covariance: Option<Matrix6<f64>>,
     /// The planes seen, in the robot frame.
@@ -52,6 +53,7 @@ pub fn keyframes_at(
         motion_covariance: mapper.motion_covariance(0, number),
         step_covariance: number
             .checked_sub(1)
+            .filter(|_| mapper.config().mode == Mode::Full)
             .and_then(|last| mapper.motion_covariance(last, number)),
         sightings: sightings(mapper, number),
     };

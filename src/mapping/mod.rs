@@ -113,8 +113,29 @@ pub struct Mapper {
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 enum Engine {
-    Mip { filter: Box<Mip>, keyframes: Vec<Isometry3<f64>> },
+    Mip { filter: Box<Mip>, keyframes: Vec<Told> },
     Full(Box<Full>),
+}
+
+/// What the paper's filter has told after a scan: it keeps no more than the last pose itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Told {
+    world_from_robot: Isometry3<f64>,
+    covariance: Matrix6<f64>,
+    sightings: Vec<(LandmarkId, Observation)>,
+}
+
+impl Told {
+    fn new(filter: &Mip, report: &UpdateReport, observations: &[Observation]) -> Self {
+        let known = report.associations.iter().map(|pair| (pair.landmark, pair.observation));
+        let new = report.added.iter().map(|added| (added.landmark, added.observation));
+        let seen = known.chain(new).map(|(id, index)| (id, observations[index].clone()));
+        Self {
+            world_from_robot: report.world_from_robot,
+            covariance: *filter.covariance(),
+            sightings: seen.collect(),
+        }
+    }
 }
 
 /// Pairs that fix a pose.
@@ -225,7 +246,7 @@ impl Mapper {
                     filter.correct_attitude(roll_rad, pitch_rad, sigma_rad);
                 }
                 let report = filter.update(&scan.observations);
-                keyframes.push(report.world_from_robot);
+                keyframes.push(Told::new(filter, &report, &scan.observations));
                 report
             }
             Engine::Full(full) => {
@@ -326,10 +347,18 @@ impl Mapper {
     }
 
     /// Covariance of the motion between two scans, as a perturbation `[δt; δr]` in the frame of the
-    /// first; `None` for unknown scans and in the paper's mode, which forgets old poses.
+    /// first; `None` for unknown scans. The paper's filter forgets old poses: it tells of the way from where it
+    /// began alone.
     pub fn motion_covariance(&self, first: usize, second: usize) -> Option<Matrix6<f64>> {
         match &self.engine {
-            Engine::Mip { .. } => None,
+            Engine::Mip { keyframes, .. } => {
+                let began = keyframes.first().filter(|_| first == 0)?;
+                let turn = began.world_from_robot.rotation.inverse().to_rotation_matrix();
+                let mut turned = Matrix6::zeros();
+                turned.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
+                turned.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
+                Some(turned * keyframes.get(second)?.covariance * turned.transpose())
+            }
             Engine::Full(full) => {
                 let motion = full.keyframe(first)?.inverse() * full.keyframe(second)?;
                 let by_lever = self.by_lever(&Isometry3::identity(), &motion);
@@ -339,10 +368,13 @@ impl Mapper {
     }
 
     /// What the planes of a scan were taken for: landmark and observation of each. Empty for an unknown
-    /// scan and in the paper's mode, which forgets them.
+    /// scan.
     pub fn sightings(&self, keyframe: usize) -> Vec<(LandmarkId, &Observation)> {
         match &self.engine {
-            Engine::Mip { .. } => Vec::new(),
+            Engine::Mip { keyframes, .. } => {
+                let told = keyframes.get(keyframe).into_iter().flat_map(|told| &told.sightings);
+                told.map(|(id, seen)| (*id, seen)).collect()
+            }
             Engine::Full(full) => full.sightings(keyframe).collect(),
         }
     }
@@ -350,7 +382,9 @@ impl Mapper {
     /// The estimated pose at each scan so far, as corrected since.
     pub fn keyframes(&self) -> Vec<Isometry3<f64>> {
         match &self.engine {
-            Engine::Mip { keyframes, .. } => keyframes.clone(),
+            Engine::Mip { keyframes, .. } => {
+                keyframes.iter().map(|told| told.world_from_robot).collect()
+            }
             Engine::Full(full) => full.keyframes(),
         }
     }

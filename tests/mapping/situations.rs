@@ -34,6 +34,10 @@ fn a_wall_that_exactly_faces_the_robot_corrects_it() {
         let (metres, radians) = drive.error();
         assert!(metres < 0.01 && radians < 0.004, "{mode:?}: {metres} m, {radians} rad");
         assert_eq!(drive.wrong, 0);
+        // Both tell of the way from the first scan and of what they took the planes for, so that they compare.
+        let spread = drive.mapper.motion_covariance(0, 4).unwrap();
+        assert!(spread.cholesky().is_some(), "{mode:?}: {spread}");
+        assert!(drive.mapper.sightings(4).len() >= 4, "{mode:?}");
     }
 }
 
