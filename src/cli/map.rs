@@ -4,7 +4,6 @@ mod grid;
 
 use super::files::{Format, Scan, median, read_scan, write_stdout};
 use super::say;
-use crate::exploration::Places;
 use crate::export::keyframes::keyframes_at;
 use crate::export::landmarks::{rows, surface_polygons, surfaces_json};
 use crate::export::ply;
@@ -312,12 +311,11 @@ fn write_grid(
         ));
         supposed_m
     });
-    let grid = grid::grid(&images, &sensors, above_m);
+    let (grid, places) = grid::grid(&images, &sensors, above_m);
     let map = trinary_map(&grid);
     let title = format!("{} scans", images.len());
     write(folder, "map.pgm", &map.pgm())?;
     write(folder, "map.yaml", map.yaml("map.pgm").as_bytes())?;
-    let places = Places::default().renewed(&grid);
     write(folder, "places.json", &serde_json::to_vec_pretty(&places)?)?;
     write(folder, "map.png", &grid::picture(&grid, places, &sensors, title).to_png())
 }

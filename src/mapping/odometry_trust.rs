@@ -153,7 +153,7 @@ mod tests {
             let mut trust = OdometryTrust::default();
             let told = Isometry3::translation(0.5, 0.0, 0.0);
             let found = told * Isometry3::new(error, Vector3::zeros());
-            (0..30).for_each(|_| trust.learn(&told, &covariance(), &found, &[along.clone()]));
+            (0..30).for_each(|_| trust.learn(&told, &covariance(), &found, &[along]));
             trust.widened(&told, &covariance())[(0, 0)] / 1e-4
         };
         assert_eq!(learned(Vector3::new(0.3, 0.0, 0.0)), 1.0);

@@ -122,7 +122,7 @@ impl Running {
             last_tilt_rad.to_degrees(),
             findings.planes
         ));
-        self.refresh_grid(desk.now);
+        self.map_sweep(desk.now);
     }
 
     /// Where the head pointed at `stamp` if it was at rest then. A head that was never heard of has

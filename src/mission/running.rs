@@ -11,7 +11,7 @@ use super::operator::{DriveLease, Mode};
 use super::pilot::{Hold, Pilot};
 use super::sign_test::SignTest;
 use crate::acquisition::{Acquisition, HeadEvent, Profile, SweepRequest};
-use crate::exploration::{Explorer, Frontier, FrontierLeft};
+use crate::exploration::{Explorer, Frontier, FrontierLeft, Places};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
 use crate::protocol::Command;
 use crate::robot::{BodySpeed, PhantomWatch, Rig, WheelCount};
@@ -131,6 +131,7 @@ pub struct Running {
     pub(super) bridged: Vec<Pose2>,
     /// Last resorts tried since the robot last had somewhere to go.
     pub(super) resorts: u32,
+    pub(super) places: Places,
     /// Whether the head is parked level for a turn, not to guard.
     pub(super) looks_level: bool,
     /// Whether a calibration that found nothing was repeated.
@@ -203,6 +204,7 @@ impl Running {
             shunned: Vec::new(),
             bridged: Vec::new(),
             resorts: 0,
+            places: Places::default(),
             looks_level: false,
             calibrated_again: false,
             looks_around: 0,
@@ -321,6 +323,17 @@ impl Running {
     /// The same with those that can only be one body made one.
     pub fn bodies(&self) -> Vec<Candidate> {
         self.candidates.bodies(&self.victim_config)
+    }
+
+    /// The rooms and doorways of the map, known again from sweep to sweep.
+    pub fn places(&self) -> &Places {
+        &self.places
+    }
+
+    /// Makes the grid anew after a sweep, and the places with it.
+    pub(super) fn map_sweep(&mut self, now: Arrival) {
+        self.refresh_grid(now);
+        self.places = self.places.renewed(&self.grid);
     }
 
     pub(super) fn refresh_grid(&mut self, now: Arrival) {

@@ -106,7 +106,7 @@ impl Running {
         if findings.redrawn {
             desk.info("earlier sweeps lie elsewhere by now: the map was drawn anew");
         }
-        self.refresh_grid(desk.now);
+        self.map_sweep(desk.now);
         let pose = self.pose2();
         // The far rows of a sweep lie too far apart to show everything.
         self.explorer.swept(&self.grid, &pose, std::f64::consts::PI, 0.8);

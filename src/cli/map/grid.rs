@@ -38,20 +38,29 @@ pub fn sensor_above_floor(landmarks: &[Landmark], sensors: &[Isometry3<f64>]) ->
 
 /// The grid on the level of the last scan, for a robot of the default shape that carries the sensor
 /// `above_m` over the floor. Where it stood there was ground: the disc that the sensor cannot see into
-/// is assumed.
-pub fn grid(images: &[&RangeImage], sensors: &[Isometry3<f64>], above_m: f64) -> Grid {
+/// is assumed. With it the rooms and doorways, which keep from scan to scan who they are: a map of the first scans
+/// alone has them under the same numbers.
+pub fn grid(images: &[&RangeImage], sensors: &[Isometry3<f64>], above_m: f64) -> (Grid, Places) {
     let shape = RobotShape {
         base_above_floor_m: above_m,
         height_m: RobotShape::default().height_m.max(above_m + 0.1),
         ..RobotShape::default()
     };
     let mut terrain = Terrain::new(TerrainConfig::default(), shape.clone());
-    for (image, pose) in images.iter().zip(sensors) {
+    // Less often the larger the map is: to look for rooms costs as much as the whole of it.
+    let (mut places, mut next) = (Places::default(), 0);
+    for (number, (image, pose)) in images.iter().zip(sensors).enumerate() {
         let blind_m = nearest_ground(image, above_m).unwrap_or_default();
         terrain.assume(pose, blind_m.clamp(shape.circumscribed_radius_m(), MOST_ASSUMED_M));
         terrain.integrate(image, pose);
+        if number == next {
+            places = places.renewed(&terrain.project(pose));
+            next += 1 + number / 4;
+        }
     }
-    terrain.project(&sensors.last().copied().unwrap_or_default())
+    let grid = terrain.project(&sensors.last().copied().unwrap_or_default());
+    let places = places.renewed(&grid);
+    (grid, places)
 }
 
 /// Distance from the sensor to the nearest point at the floor's height.
