@@ -176,6 +176,45 @@ fn a_row_of_columns_is_not_counted_where_it_could_be_shifted_by_one() {
     assert_eq!(walk.mapper.curves().len(), known);
 }
 
+/// A hall so large that no wall is in sight, its columns at `places`.
+fn open_hall(places: &[(f64, f64)]) -> Hall {
+    let mut walls = World::default();
+    walls.level((-60.0, 60.0), (-60.0, 60.0), 0.0, true);
+    let columns = places.iter().map(|&(x, y)| (x, y, 0.25)).collect();
+    Hall { walls, columns, balls: Vec::new() }
+}
+
+/// By itself each of them could be one of several, as far as wheels tell that are off by a third of a metre and more.
+#[test]
+fn columns_are_known_by_how_they_stand_to_one_another() {
+    let places = [(3.0, -1.0), (4.2, 2.0), (6.0, -2.5), (7.5, 0.6), (9.0, 3.5), (10.5, -4.0)];
+    let hall = open_hall(&places);
+    let mut walk = Walk::begin(&hall, OdometryNoise::default(), 7);
+    for k in 0..5 {
+        let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
+        let error = Vector6::new(0.1 * sign, -0.12 * sign, 0.0, 0.0, 0.0, 0.09 * sign);
+        walk.slide(&step(0.4, 0.0, 0.0), &error);
+        let report = walk.look();
+        assert!(report.curves_known >= 4, "look {k}: {report:?}");
+        assert!(walk.error().norm() < 0.02, "look {k}: {}", walk.error());
+    }
+    assert_eq!(walk.mapper.curves().len(), places.len());
+}
+
+/// Of a grid all are as far from one another wherever the robot stands.
+#[test]
+fn columns_in_a_grid_are_no_constellation_where_it_could_be_shifted() {
+    let places: Vec<(f64, f64)> = (0..6)
+        .flat_map(|i| (-3..4).map(move |j| (2.0 * f64::from(i) + 2.5, 2.0 * f64::from(j))))
+        .collect();
+    let hall = open_hall(&places);
+    let noise = OdometryNoise { position_per_m: 0.5, ..OdometryNoise::default() };
+    let mut walk = Walk::begin(&hall, noise, 8);
+    walk.slide(&step(2.0, 0.0, 0.0), &ahead(1.0));
+    let report = walk.look();
+    assert_eq!(report.curves_known, 0, "{report:?}");
+}
+
 #[test]
 fn balls_fix_it_as_well() {
     let balls = (0..8).map(|i| (Vector3::new(5.0 * f64::from(i) + 4.0, 1.0, 0.3), 0.3)).collect();

@@ -58,7 +58,10 @@ impl Estimate {
         let curves = &arrival.scan.curves;
         let mut pending: Vec<usize> = (0..curves.len()).collect();
         for _ in 0..ROUNDS {
-            let found = self.clear_pairs(arrival, &pending);
+            let mut found = self.clear_pairs(arrival, &pending);
+            if found.is_empty() {
+                found = self.constellation(arrival, &pending);
+            }
             if found.is_empty() {
                 break;
             }
@@ -130,7 +133,7 @@ impl Estimate {
     }
 
     /// Landmarks that may be a curve by kind, radius and place.
-    fn curve_candidates<'a>(
+    pub(super) fn curve_candidates<'a>(
         &'a self,
         seen: &'a CurvedObservation,
     ) -> impl Iterator<Item = usize> + 'a {

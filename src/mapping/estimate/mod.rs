@@ -5,6 +5,7 @@
 
 mod apply;
 mod candidates;
+mod constellation;
 mod curves;
 mod prepare;
 mod upkeep;
