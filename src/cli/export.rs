@@ -6,6 +6,7 @@ use super::session::{self, Session};
 use crate::driver::replay::Replay;
 use crate::export::cloud;
 use crate::export::run_folder::{Files, map_files};
+use crate::export::score;
 use crate::export::tum::{self, TimedPose};
 use crate::files::pcd::{Encoding, write_pcd};
 use crate::files::replace::replace_file;
@@ -59,7 +60,8 @@ enum Deliverable {
     /// The trajectory
     Tum,
     /// A folder of the scans that made the map, in their order, as `usar map` reads them:
-    /// scan_NNN.pcd, and odometry.tum with the sensor's way as it was reckoned between them
+    /// scan_NNN.pcd, odometry.tum with the sensor's way as it was reckoned between them, and, of a run
+    /// whose truth is known, truth.tum with its true way
     Scans,
     /// The session as MCAP (not built yet)
     Mcap,
@@ -185,7 +187,29 @@ fn scans(arguments: &ExportArguments, source: &mut Source<'_>) -> Result<()> {
         let bytes = write_pcd(scan, Encoding::Binary);
         save(&folder.join(format!("scan_{number:03}.pcd")), &bytes)?;
     }
-    save(&folder.join("odometry.tum"), tum::format(&series.way).as_bytes())
+    save(&folder.join("odometry.tum"), tum::format(&series.way).as_bytes())?;
+    match true_way(&arguments.run, &series)? {
+        Some(way) => save(&folder.join("truth.tum"), tum::format(&way).as_bytes()),
+        None => Ok(()),
+    }
+}
+
+/// Where the sensor truly was at each scan, for `usar map --truth`, where the run's folder says where the robot was.
+fn true_way(run: &Path, series: &ScanSeries) -> Result<Option<Vec<TimedPose>>> {
+    let file = run.join("truth.tum");
+    if !file.is_file() {
+        return Ok(None);
+    }
+    let text = std::fs::read_to_string(&file)
+        .with_context(|| format!("cannot read {}", file.display()))?;
+    let truth = tum::parse(&text).with_context(|| format!("cannot read {}", file.display()))?;
+    let sensors = series.way.iter().zip(&series.robot_from_scan);
+    Ok(sensors
+        .map(|(timed, robot_from_scan)| {
+            let robot = score::at(&truth, timed.time_s)?;
+            Some(TimedPose { time_s: timed.time_s, pose: robot * robot_from_scan })
+        })
+        .collect())
 }
 
 /// The scans that went into a map as they came, with the poses of the sensor by dead reckoning alone.
@@ -193,6 +217,7 @@ fn scans(arguments: &ExportArguments, source: &mut Source<'_>) -> Result<()> {
 struct ScanSeries {
     scans: Vec<PointGrid>,
     way: Vec<TimedPose>,
+    robot_from_scan: Vec<Isometry3<f64>>,
     /// The robot by dead reckoning at the last scan, and where the map put it after that.
     last: Option<(Isometry3<f64>, Isometry3<f64>)>,
     /// Where the agent had the robot a step ago.
@@ -219,6 +244,7 @@ impl ScanSeries {
                 time_s: stamp.map_or(self.scans.len() as f64, Stamp::seconds),
                 pose: reckoned * image.robot_from_scan,
             });
+            self.robot_from_scan.push(image.robot_from_scan);
             self.scans.push(image.point_grid(0..image.columns()));
         }
         self.before = Some(now);

@@ -213,6 +213,22 @@ fn a_run_is_recorded_verified_scored_and_exported() {
     let yaml = fs::read_to_string(folder.path().join("map.yaml")).unwrap();
     assert!(yaml.starts_with("image: map.pgm\n") && folder.path().join("map.pgm").exists());
 
+    // Its scans make a map of their own, in either mode, that is scored.
+    exported("scans", "s");
+    let (folder_s, again) = (folder.path().join("s"), folder.path().join("again"));
+    let files = fs::read_dir(&folder_s).unwrap().map(|entry| entry.unwrap().path());
+    let mut scans: Vec<_> = files.filter(|path| path.extension().unwrap() == "pcd").collect();
+    scans.sort();
+    let (way, truth) = (folder_s.join("odometry.tum"), folder_s.join("truth.tum"));
+    let mut arguments = vec!["map", "--odometry", text(&way), "--truth", text(&truth)];
+    arguments.extend(["--mode", "mip", "--out", text(&again)]);
+    arguments.extend(scans.iter().map(|scan| text(scan)));
+    let mapped = usar(&arguments);
+    assert!(mapped.status.success(), "{}", stderr(&mapped));
+    let scored = usar(&["eval", text(&again), "--format", "json"]);
+    let score: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
+    assert!(number(&score["ate"]["final_m"]) < 0.05, "{score}");
+
     let info = usar(&["info", text(&session), "--format", "json"]);
     let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
     assert_eq!((info["kind"].as_str(), info["scenario"].as_str()), (Some("session"), Some("box")));
