@@ -467,6 +467,9 @@ impl Running {
     }
 
     fn recover_cycle(&mut self, desk: &mut Desk<'_>) {
+        if self.looks_level {
+            self.park(desk);
+        }
         let pose = self.pose2();
         self.renew_grid(desk);
         let Activity::Recover { recovery, gave_up } = &mut self.activity else { return };

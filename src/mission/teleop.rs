@@ -103,7 +103,7 @@ impl Running {
 
     /// Turns the head to the ground ahead unless it is there or on its way; tells where it is.
     fn guard_the_way(&mut self, desk: &mut Desk<'_>) -> ParkState {
-        if self.parked(desk.now) == ParkState::NotParked {
+        if self.looks_level || self.parked(desk.now) == ParkState::NotParked {
             self.park(desk);
         }
         self.parked(desk.now)

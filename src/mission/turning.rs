@@ -41,7 +41,8 @@ impl Running {
         }
     }
 
-    /// Parks the head where its line guards the way ahead.
+    /// Parks the head where its line guards the way ahead: whoever drives on, an operator or a robot that gets out of
+    /// trouble, does not drive by a laser that looks over the edges.
     pub(super) fn park(&mut self, desk: &mut Desk<'_>) {
         let Some(guard) = self.pilot.guard_tilt() else { return };
         self.looks_level = false;

@@ -93,7 +93,9 @@ impl Belief {
         }
         let at = world_from_begin.inverse() * found.world_from_robot;
         let since_line = begin_from_robot.inverse() * self.leg.begin_from_robot();
-        self.go_on_from_walls(&at, &since_line, &covariance);
+        let now = at * since_line;
+        self.mapper.replace_since(&Motion::default(), &now, &covariance);
+        self.leg.correct(&now);
         let correction = at * begin_from_robot.inverse();
         for (_, pose) in &mut self.history {
             *pose = correction * *pose;
@@ -102,17 +104,6 @@ impl Belief {
         let (_, _, heading_rad) = self.world_from_robot().rotation.euler_angles();
         self.motion.settle_heading_on_way(heading_rad);
         at
-    }
-
-    fn go_on_from_walls(
-        &mut self,
-        begin_from_robot: &Isometry3<f64>,
-        since_line: &Isometry3<f64>,
-        covariance: &Matrix6<f64>,
-    ) {
-        let now = begin_from_robot * since_line;
-        self.mapper.replace_since(&Motion::default(), &now, covariance);
-        self.leg.correct(&now);
     }
 }
 
