@@ -223,10 +223,8 @@ impl Score {
             let error = crate::mapping::perturbation::pose_error(&motion, &true_motion);
             score.translation_m.push(error.fixed_rows::<3>(0).norm());
             score.rotation_rad.push(error.fixed_rows::<3>(3).norm());
-            // The paper's filter forgets where it was before.
-            let is_kept = mapper.config().mode == Mode::Full;
-            let covariance = mapper.motion_covariance(k - 1, k).filter(|_| is_kept);
-            let nees = covariance
+            let nees = mapper
+                .step_covariance(k)
                 .and_then(nalgebra::Matrix::cholesky)
                 .map(|cholesky| error.dot(&cholesky.solve(&error)));
             score.nees.extend(nees);

@@ -2,7 +2,7 @@
 //! took each plane for.
 
 use super::evaluate::Patch;
-use crate::mapping::{Mapper, Mode};
+use crate::mapping::Mapper;
 use crate::mission::Belief;
 use crate::time::Stamp;
 use nalgebra::{Isometry3, Matrix6, Point3};
@@ -51,10 +51,7 @@ pub fn keyframes_at(
         time_s,
         pose,
         motion_covariance: mapper.motion_covariance(0, number),
-        step_covariance: number
-            .checked_sub(1)
-            .filter(|_| mapper.config().mode == Mode::Full)
-            .and_then(|last| mapper.motion_covariance(last, number)),
+        step_covariance: mapper.step_covariance(number),
         sightings: sightings(mapper, number),
     };
     mapper.keyframes().into_iter().zip(times_s).enumerate().map(record).collect()

@@ -367,6 +367,15 @@ impl Mapper {
         }
     }
 
+    /// The same of the motion to a scan from the one before; `None` for the first, and in the paper's mode, which
+    /// forgets where it was before.
+    pub fn step_covariance(&self, scan: usize) -> Option<Matrix6<f64>> {
+        match &self.engine {
+            Engine::Mip { .. } => None,
+            Engine::Full(_) => self.motion_covariance(scan.checked_sub(1)?, scan),
+        }
+    }
+
     /// What the planes of a scan were taken for: landmark and observation of each. Empty for an unknown
     /// scan.
     pub fn sightings(&self, keyframe: usize) -> Vec<(LandmarkId, &Observation)> {

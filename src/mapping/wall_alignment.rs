@@ -63,7 +63,7 @@ pub struct Walls {
 }
 
 impl Walls {
-    /// Those of `landmarks` that face `eye` or come near it, in the world.
+    /// The walls among `landmarks` that face `eye`, in the world, and all of the ground.
     pub fn of(landmarks: &[Landmark], eye: &Point3<f64>) -> Self {
         let (mut walls, mut ground) = (Vec::new(), Vec::new());
         for landmark in landmarks.iter().filter(|landmark| !landmark.gone) {

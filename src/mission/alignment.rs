@@ -36,7 +36,7 @@ const MOST_RAD: f64 = 0.15;
 const GATE: f64 = 16.266;
 /// By how much the time at which rays were cast is unknown, in seconds: a robot under way is elsewhere by
 /// then.
-const LATE_S: f64 = 0.05;
+pub(super) const LATE_S: f64 = 0.05;
 
 /// The components of a pose's error that level lines tell: x, y, turn.
 const TOLD: [usize; 3] = [0, 1, 5];
@@ -159,27 +159,23 @@ impl Belief {
     /// Puts an alignment in place of what was reckoned since its key line; where the line was taken then.
     fn go_on_from(&mut self, begin_from_robot: &Isometry3<f64>, found: &Found) -> Isometry3<f64> {
         let since_line = begin_from_robot.inverse() * self.leg.begin_from_robot();
-        let mut covariance = found.covariance;
-        for (i, row) in TOLD.into_iter().enumerate() {
-            for column in 0..6 {
-                covariance[(row, column)] = 0.0;
-                covariance[(column, row)] = 0.0;
-            }
-            for (j, column) in TOLD.into_iter().enumerate().take(i + 1) {
-                covariance[(row, column)] = found.alignment.covariance[(i, j)];
-                covariance[(column, row)] = found.alignment.covariance[(i, j)];
-            }
-        }
+        let covariance = with_level_part(found.covariance, &found.alignment.covariance);
         let key = &self.aligner.keys[found.number];
         let (mark, begin_from_key) = (key.mark, key.begin_from_key);
         self.mapper.replace_since(&mark, &(found.key_from_robot * since_line), &covariance);
         let at = begin_from_key * found.key_from_robot;
-        let correction = at * begin_from_robot.inverse();
+        self.put_on_leg(begin_from_robot, &at);
+        at
+    }
+
+    /// Puts the robot `at` a place on the leg where it was `reckoned` to be, and with it where it has been since.
+    pub(super) fn put_on_leg(&mut self, reckoned: &Isometry3<f64>, at: &Isometry3<f64>) {
+        let correction = at * reckoned.inverse();
         for (_, pose) in &mut self.history {
             *pose = correction * *pose;
         }
-        self.leg.correct(&(at * since_line));
-        at
+        let now = correction * self.leg.begin_from_robot();
+        self.leg.correct(&now);
     }
 }
 
@@ -216,7 +212,21 @@ fn bound(covariance: &mut Matrix6<f64>, passing: &Passing) {
     }
 }
 
-fn level_part(covariance: &Matrix6<f64>) -> Matrix3<f64> {
+/// A covariance with what is told over the ground in place of what it said of that.
+pub(super) fn with_level_part(mut covariance: Matrix6<f64>, told: &Matrix3<f64>) -> Matrix6<f64> {
+    for (i, row) in TOLD.into_iter().enumerate() {
+        covariance.row_mut(row).fill(0.0);
+        covariance.column_mut(row).fill(0.0);
+        for (j, column) in TOLD.into_iter().enumerate().take(i + 1) {
+            covariance[(row, column)] = told[(i, j)];
+            covariance[(column, row)] = told[(i, j)];
+        }
+    }
+    covariance
+}
+
+/// What a covariance says of x, y and turn.
+pub(super) fn level_part(covariance: &Matrix6<f64>) -> Matrix3<f64> {
     Matrix3::from_fn(|i, j| covariance[(TOLD[i], TOLD[j])])
 }
 

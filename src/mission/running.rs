@@ -131,6 +131,7 @@ pub struct Running {
     pub(super) bridged: Vec<Pose2>,
     /// Last resorts tried since the robot last had somewhere to go.
     pub(super) resorts: u32,
+    /// Rooms and doorways as the last sweep left them.
     pub(super) places: Places,
     /// Whether the head is parked level for a turn, not to guard.
     pub(super) looks_level: bool,

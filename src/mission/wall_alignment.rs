@@ -5,12 +5,13 @@
 //! by a map that has turned under it. Each line is held against what sweeps have mapped, so that only what no wall
 //! shows is left to the wheels.
 
+use super::alignment::{LATE_S, level_part, with_level_part};
 use super::belief::Belief;
 use super::lines::Passing;
 use crate::mapping::wall_alignment::Walls;
 use crate::mapping::{Motion, MotionSource};
 use crate::scan::{LaserLine, Return};
-use nalgebra::{Isometry3, Matrix3, Matrix6, Point3};
+use nalgebra::{Isometry3, Matrix3, Point3};
 use serde::{Deserialize, Serialize};
 
 /// A robot that has moved by less since the last line was held against the walls learns nothing from another.
@@ -21,14 +22,9 @@ const MOVED_RAD: f64 = 0.02;
 const OVER_FLOOR_M: f64 = 0.12;
 /// Beams that are held against walls at most.
 const MOST_BEAMS: usize = 200;
-/// By how much the time at which rays were cast is unknown, in seconds: a robot under way is elsewhere by then.
-const LATE_S: f64 = 0.05;
 /// What walls tell is off by at least this much, however many points lie on them: metres and radians.
 const LEAST_M: f64 = 0.02;
 const LEAST_RAD: f64 = 0.01;
-
-/// The components of a pose's error that walls tell: x, y, heading.
-const TOLD: [usize; 3] = [0, 1, 5];
 
 /// What lines have told since the last sweep.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -82,24 +78,11 @@ impl Belief {
             &[LEAST_M, LEAST_M, LEAST_RAD].map(|sigma| sigma * sigma).into(),
         );
         let known = turned.transpose() * found.covariance * turned + late + least;
-        let mut covariance = noise.covariance(&self.walls.since);
-        for (i, row) in TOLD.into_iter().enumerate() {
-            covariance.row_mut(row).fill(0.0);
-            covariance.column_mut(row).fill(0.0);
-            for (j, column) in TOLD.into_iter().enumerate().take(i + 1) {
-                covariance[(row, column)] = known[(i, j)];
-                covariance[(column, row)] = known[(i, j)];
-            }
-        }
+        let covariance = with_level_part(noise.covariance(&self.walls.since), &known);
         let at = world_from_begin.inverse() * found.world_from_robot;
-        let since_line = begin_from_robot.inverse() * self.leg.begin_from_robot();
-        let now = at * since_line;
+        self.put_on_leg(&begin_from_robot, &at);
+        let now = self.leg.begin_from_robot();
         self.mapper.replace_since(&Motion::default(), &now, &covariance);
-        self.leg.correct(&now);
-        let correction = at * begin_from_robot.inverse();
-        for (_, pose) in &mut self.history {
-            *pose = correction * *pose;
-        }
         self.walls.last = at;
         let (_, _, heading_rad) = self.world_from_robot().rotation.euler_angles();
         self.motion.settle_heading_on_way(heading_rad);
@@ -112,10 +95,6 @@ fn level_turn(world_from_begin: &Isometry3<f64>) -> Matrix3<f64> {
     let (_, _, heading_rad) = world_from_begin.rotation.euler_angles();
     let (sin, cos) = heading_rad.sin_cos();
     Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0)
-}
-
-fn level_part(covariance: &Matrix6<f64>) -> Matrix3<f64> {
-    Matrix3::from_fn(|i, j| covariance[(TOLD[i], TOLD[j])])
 }
 
 /// What the beams of a line hit, in the robot's frame.

@@ -8,10 +8,9 @@ use super::{Arrival, Estimate};
 use crate::geometry::wrap_pi;
 use nalgebra::{Matrix3, Rotation2, Vector2, Vector3};
 
-/// Fewest that are a constellation, and so where wheels have slipped, by so many of their deviations more.
+/// Fewest that are a constellation, and so where wheels have slipped.
 const FEWEST: usize = 3;
 const MANY: usize = 4;
-const SLIPPED: f64 = 3.0;
 /// How far a curve may lie from its landmark once the motion is found, and how much two distances may differ, in
 /// metres.
 const APART_M: f64 = 0.1;
@@ -21,6 +20,8 @@ const REPEATED_M: f64 = 0.3;
 const BASE_M: f64 = 0.5;
 /// 99.9 % of χ² with three degrees of freedom: what the pose may be off by.
 const GATE: f64 = 16.27;
+/// The same where wheels have slipped, by three times as much.
+const WIDE_GATE: f64 = 9.0 * GATE;
 /// Motions within this are one, and so many fewer curves make another one a rival.
 const SAME_M: f64 = 0.2;
 const SAME_RAD: f64 = 0.05;
@@ -59,20 +60,6 @@ impl Estimate {
         arrival: &Arrival<'_>,
         pending: &[usize],
     ) -> Vec<(usize, usize)> {
-        let as_told = self.constellation_within(arrival, pending, GATE, FEWEST);
-        if as_told.is_empty() {
-            return self.constellation_within(arrival, pending, SLIPPED * SLIPPED * GATE, MANY);
-        }
-        as_told
-    }
-
-    fn constellation_within(
-        &self,
-        arrival: &Arrival<'_>,
-        pending: &[usize],
-        gate: f64,
-        fewest: usize,
-    ) -> Vec<(usize, usize)> {
         let pose = self.last_pose();
         let covariance = self.last_covariance();
         let level = [0, 1, 5];
@@ -91,50 +78,41 @@ impl Estimate {
             .collect();
         seen.sort_by(|a, b| a.arm.norm().total_cmp(&b.arm.norm()));
         seen.truncate(MOST);
-        let mut motions: Vec<Motion> = Vec::new();
-        for (at, first) in seen.iter().enumerate() {
-            for second in &seen[at + 1..] {
-                let base = second.arm - first.arm;
-                if base.norm() < BASE_M {
-                    continue;
-                }
-                for (one, a) in &first.options {
-                    for (_, b) in second.options.iter().filter(|(other, _)| other != one) {
-                        let mapped = b - a;
-                        if (mapped.norm() - base.norm()).abs() > APART_M {
-                            continue;
-                        }
-                        let turn = Rotation2::rotation_between(&base, &mapped);
-                        let way = 0.5 * ((a + b) - turn * (first.arm + second.arm));
-                        let state = Vector3::new(way.x, way.y, turn.angle());
-                        if state.dot(&(information * state)) < gate {
-                            motions.push(brought_together(&seen, &turn, &way, state));
-                        }
-                    }
-                }
-            }
-        }
-        let better = |a: &&Motion, b: &&Motion| {
+        let away = |state: &Vector3<f64>| state.dot(&(information * state));
+        let motions = motions(&seen, |state| away(state) < WIDE_GATE);
+        let told = motions.iter().filter(|motion| away(&motion.state) < GATE).collect();
+        let as_told = self.one_of(told, FEWEST, |state| away(state) < GATE);
+        as_told
+            .or_else(|| {
+                self.one_of(motions.iter().collect(), MANY, |state| away(state) < WIDE_GATE)
+            })
+            .unwrap_or_default()
+    }
+
+    /// The pairs of the motion that brings most together, so many at least, if it has no rival among the others nor,
+    /// where the robot `may_be`, in the way in which its landmarks stand.
+    fn one_of(
+        &self,
+        motions: Vec<&Motion>,
+        fewest: usize,
+        may_be: impl Fn(&Vector3<f64>) -> bool,
+    ) -> Option<Vec<(usize, usize)>> {
+        let better = |a: &&&Motion, b: &&&Motion| {
             let count = a.pairs.len().cmp(&b.pairs.len());
             count.then(b.squares_m2.total_cmp(&a.squares_m2))
         };
-        let Some(best) = motions.iter().max_by(better) else { return Vec::new() };
-        let rivals = |other: &Motion| {
+        let best = *motions.iter().max_by(better)?;
+        let rivals = |other: &&Motion| {
             !other.is_like(best) && other.pairs.len() + RIVAL_BY >= best.pairs.len()
         };
         if best.pairs.len() < fewest || motions.iter().any(rivals) {
-            return Vec::new();
+            return None;
         }
-        let places: Vec<Vector2<f64>> = best
-            .pairs
-            .iter()
-            .map(|pair| self.curves[pair.1].world_from_curve.translation.vector.xy())
-            .collect();
-        let is_open = |way: &Vector2<f64>| {
-            let state = best.state + Vector3::new(way.x, way.y, 0.0);
-            state.dot(&(information * state)) < gate
-        };
-        if repeats(&places, is_open) { Vec::new() } else { best.pairs.clone() }
+        let place =
+            |pair: &(usize, usize)| self.curves[pair.1].world_from_curve.translation.vector.xy();
+        let places: Vec<Vector2<f64>> = best.pairs.iter().map(place).collect();
+        let is_open = |way: &Vector2<f64>| may_be(&(best.state + Vector3::new(way.x, way.y, 0.0)));
+        (!repeats(&places, is_open)).then(|| best.pairs.clone())
     }
 }
 
@@ -148,6 +126,40 @@ fn repeats(places: &[Vector2<f64>], is_open: impl Fn(&Vector2<f64>) -> bool) -> 
         };
         places.iter().filter(lands).count() >= 2
     })
+}
+
+/// The motions that bring some two curves to some two landmarks and that the robot `may_be` off by.
+fn motions(seen: &[Seen], may_be: impl Fn(&Vector3<f64>) -> bool) -> Vec<Motion> {
+    let mut motions = Vec::new();
+    for (at, first) in seen.iter().enumerate() {
+        for second in &seen[at + 1..] {
+            let pairs =
+                first.options.iter().flat_map(|a| second.options.iter().map(move |b| (a, b)));
+            for ((_, a), (_, b)) in pairs.filter(|(a, b)| a.0 != b.0) {
+                let Some((turn, way)) = motion_of([&first.arm, &second.arm], [a, b]) else {
+                    continue;
+                };
+                let state = Vector3::new(way.x, way.y, turn.angle());
+                if may_be(&state) {
+                    motions.push(brought_together(seen, &turn, &way, state));
+                }
+            }
+        }
+    }
+    motions
+}
+
+/// The turn and the way that bring two places to two others as far from each other.
+fn motion_of(
+    from: [&Vector2<f64>; 2],
+    to: [&Vector2<f64>; 2],
+) -> Option<(Rotation2<f64>, Vector2<f64>)> {
+    let (base, mapped) = (from[1] - from[0], to[1] - to[0]);
+    if base.norm() < BASE_M || (mapped.norm() - base.norm()).abs() > APART_M {
+        return None;
+    }
+    let turn = Rotation2::rotation_between(&base, &mapped);
+    Some((turn, 0.5 * ((to[0] + to[1]) - turn * (from[0] + from[1]))))
 }
 
 /// Which curves a motion brings to landmarks, each landmark for one of them.
