@@ -26,6 +26,10 @@ const RISE: f64 = 0.05;
 const OFFSET_M: f64 = 0.10;
 /// How far a plane's middle may lie beyond the extent of the landmark that it is taken for, in metres.
 const BEYOND_M: f64 = 0.3;
+/// Edge of the cells, in metres, in which rising landmarks are looked up by their middles, and half the length
+/// from which on one is long: the long ones are looked through one by one.
+const NEAR_M: f64 = 8.0;
+const LONG_M: f64 = 8.0;
 /// Votes within this are for one place.
 const CELL_M: f64 = 0.3;
 const CELL_RAD: f64 = 0.05;
@@ -53,8 +57,8 @@ pub(super) struct Recognised {
 /// floor tells it, the height are believed; `reachable` tells of a place over the ground, x, y and the turn
 /// after `predicted`, whether the robot can be there.
 ///
-/// Costs about `n²/64` votes for each pair of [`VOTERS`] in a map of n rising landmarks; asked only
-/// when a scan is not recognised where it should be.
+/// Grows with the number of landmarks given and how many of them are near one another; asked only when a scan
+/// is not recognised where it should be.
 pub(super) fn recognise<'a>(
     scan: &[Observation],
     landmarks: impl IntoIterator<Item = &'a Landmark>,
@@ -63,23 +67,14 @@ pub(super) fn recognise<'a>(
 ) -> Vec<Recognised> {
     let seen = Planes::of_scan(scan, &predicted.rotation);
     let map = Planes::of_map(landmarks);
+    let pairs = seen.voting_pairs();
     let mut votes: BTreeMap<(i32, i32, i32), (f64, Place)> = BTreeMap::new();
-    for (first, a) in seen.rising.iter().take(LEADERS).enumerate() {
-        for b in seen.rising.iter().take(VOTERS).skip(first + 1) {
-            let between = wrap_pi(b.azimuth_rad - a.azimuth_rad);
-            if !(LEAST_ANGLE_RAD..std::f64::consts::PI - LEAST_ANGLE_RAD).contains(&between.abs()) {
-                continue;
-            }
-            map.places(a, b, predicted.translation.z, |place| {
-                if !reachable(&place.at, wrap_pi(place.turn_rad)) {
-                    return;
-                }
-                let weight = (a.area_m2.min(b.area_m2)).sqrt();
-                let key = place.cell();
-                votes.entry(key).or_insert((0.0, place)).0 += weight;
-            });
+    map.places(&pairs, predicted.translation.z, |(a, b), place| {
+        if reachable(&place.at, wrap_pi(place.turn_rad)) {
+            let weight = (a.area_m2.min(b.area_m2)).sqrt();
+            votes.entry(place.cell()).or_insert((0.0, place)).0 += weight;
         }
-    }
+    });
     let mut places: Vec<(f64, Place)> = votes.into_values().collect();
     places.sort_by(|a, b| b.0.total_cmp(&a.0));
     places.truncate(MOST_HELD);
@@ -130,6 +125,9 @@ struct Rising {
     area_m2: f64,
 }
 
+/// Two planes of a scan that vote together.
+type Pair<'a> = (&'a Rising, &'a Rising);
+
 /// A plane that lies, in a frame whose z points up.
 struct Level {
     from_above: bool,
@@ -139,15 +137,19 @@ struct Level {
     area_m2: f64,
 }
 
+#[derive(Default)]
 struct Planes {
     /// Of a scan by area, of a map by azimuth.
     rising: Vec<Rising>,
     level: Vec<Level>,
+    /// Of a map the rising ones by the cell of their middle, but for the long ones.
+    cells: BTreeMap<(i32, i32), Vec<usize>>,
+    long: Vec<usize>,
 }
 
 impl Planes {
     fn of_scan(scan: &[Observation], attitude: &UnitQuaternion<f64>) -> Self {
-        let mut planes = Self { rising: Vec::new(), level: Vec::new() };
+        let mut planes = Self::default();
         for seen in scan {
             let normal = attitude * seen.normal();
             let corners: Vec<Vector3<f64>> =
@@ -159,12 +161,19 @@ impl Planes {
     }
 
     fn of_map<'a>(landmarks: impl IntoIterator<Item = &'a Landmark>) -> Self {
-        let mut planes = Self { rising: Vec::new(), level: Vec::new() };
+        let mut planes = Self::default();
         for landmark in landmarks {
             let corners: Vec<Vector3<f64>> = landmark.hull_points().map(|p| p.coords).collect();
             planes.add(&landmark.normal(), &corners, landmark.area_m2());
         }
         planes.rising.sort_by(|a, b| a.azimuth_rad.total_cmp(&b.azimuth_rad));
+        for (index, plane) in planes.rising.iter().enumerate() {
+            if plane.half_length_m > LONG_M {
+                planes.long.push(index);
+            } else {
+                planes.cells.entry(cell_of(&plane.middle.xy())).or_default().push(index);
+            }
+        }
         planes
     }
 
@@ -205,53 +214,51 @@ impl Planes {
         }
     }
 
-    /// Calls `emit` with each place, `up_m` high, where `a` and `b` of a scan fit two landmarks.
-    fn places(&self, a: &Rising, b: &Rising, up_m: f64, mut emit: impl FnMut(Place)) {
-        let apart_m = (b.middle - a.middle).xy().norm() + 2.0 * BEYOND_M;
-        for first in self.rising.iter().filter(|first| (first.rise - a.rise).abs() < RISE) {
-            let turn_rad = wrap_pi(first.azimuth_rad - a.azimuth_rad);
-            let turn = nalgebra::Rotation2::new(turn_rad);
-            for second in self.facing(b.azimuth_rad + turn_rad) {
-                // Landmarks too far apart for both to be seen are most of a large map.
-                let most_m = apart_m + first.half_length_m + second.half_length_m;
-                if (second.middle - first.middle).xy().norm_squared() > most_m * most_m
-                    || (second.rise - b.rise).abs() >= RISE
-                {
-                    continue;
+    /// The pairs of a scan's planes that fix a place together, with the angle between them.
+    fn voting_pairs(&self) -> Vec<Pair<'_>> {
+        let mut pairs = Vec::new();
+        for (first, a) in self.rising.iter().take(LEADERS).enumerate() {
+            for b in self.rising.iter().take(VOTERS).skip(first + 1) {
+                let between = wrap_pi(b.azimuth_rad - a.azimuth_rad).abs();
+                if (LEAST_ANGLE_RAD..std::f64::consts::PI - LEAST_ANGLE_RAD).contains(&between) {
+                    pairs.push((a, b));
                 }
-                // n · (turn p + at) is where the landmark lies along n at that height, for both.
-                let rows =
-                    Matrix2::from_rows(&[first.normal.transpose(), second.normal.transpose()]);
-                let gap = |seen: &Rising, landmark: &Rising| {
-                    let along_m = landmark.along_m(seen.middle.z + up_m);
-                    along_m - landmark.normal.dot(&(turn * seen.middle.xy()))
-                };
-                let gaps = Vector2::new(gap(a, first), gap(b, second));
-                let Some(at) = rows.try_inverse().map(|inverse| inverse * gaps) else { continue };
-                let lies = |seen: &Rising, landmark: &Rising| {
-                    landmark.spans(&(turn * seen.middle.xy() + at))
-                };
-                if lies(a, first) && lies(b, second) {
-                    emit(Place { turn_rad, at });
+            }
+        }
+        pairs
+    }
+
+    /// Calls `emit` with each place, `up_m` high, where a pair of a scan fits two landmarks.
+    fn places<'a>(&self, pairs: &[Pair<'a>], up_m: f64, mut emit: impl FnMut(Pair<'a>, Place)) {
+        // Landmarks too far apart for both to be seen are most of a large map.
+        let apart_m = |(a, b): &Pair<'_>| (b.middle - a.middle).xy().norm() + 2.0 * BEYOND_M;
+        let farthest_m = pairs.iter().map(apart_m).fold(0.0, f64::max);
+        for first in &self.rising {
+            let near = self.near(first, farthest_m);
+            for pair in pairs {
+                let most_m = apart_m(pair);
+                if (first.rise - pair.0.rise).abs() < RISE {
+                    places_of(*pair, first, &near, most_m, up_m, |place| emit(*pair, place));
                 }
             }
         }
     }
 
+    /// By azimuth the rising planes of a map that may be so near another, and the long ones.
+    fn near(&self, first: &Rising, within_m: f64) -> Vec<&Rising> {
+        let within_m = within_m + first.half_length_m + LONG_M;
+        let at = first.middle.xy();
+        let (low, high) = (cell_of(&at.add_scalar(-within_m)), cell_of(&at.add_scalar(within_m)));
+        let rows = (low.0..=high.0).flat_map(|x| self.cells.range((x, low.1)..=(x, high.1)));
+        let found = rows.flat_map(|(_, near)| near).chain(&self.long);
+        let mut found: Vec<usize> = found.copied().collect();
+        found.sort_unstable();
+        found.into_iter().map(|index| &self.rising[index]).collect()
+    }
+
     /// The rising planes whose normals point in a direction over the ground.
     fn facing(&self, azimuth_rad: f64) -> impl Iterator<Item = &Rising> {
-        let azimuth_rad = wrap_pi(azimuth_rad);
-        let within = |low: f64, high: f64| {
-            let from = self.rising.partition_point(|plane| plane.azimuth_rad < low);
-            let to = self.rising.partition_point(|plane| plane.azimuth_rad <= high);
-            &self.rising[from..to.max(from)]
-        };
-        let (low, high) = (azimuth_rad - ANGLE_RAD, azimuth_rad + ANGLE_RAD);
-        let turn = std::f64::consts::TAU;
-        within(low, high)
-            .iter()
-            .chain(within(low + turn, high + turn))
-            .chain(within(low - turn, high - turn))
+        facing(&self.rising, azimuth_rad, |plane| plane.azimuth_rad)
     }
 
     /// The robot at a place if enough of what it saw fits there.
@@ -308,6 +315,66 @@ impl Planes {
         let best = votes.into_values().max_by(|a, b| a.0.total_cmp(&b.0))?;
         Some(best.1 / best.0.max(1e-9))
     }
+}
+
+/// Calls `emit` with each place, `up_m` high, where the first of a pair fits `first` and the second one of `near`,
+/// which are by azimuth, and whose ends may be so far from those of `first`.
+fn places_of(
+    (a, b): Pair<'_>,
+    first: &Rising,
+    near: &[&Rising],
+    apart_m: f64,
+    up_m: f64,
+    mut emit: impl FnMut(Place),
+) {
+    let turn_rad = wrap_pi(first.azimuth_rad - a.azimuth_rad);
+    let turn = nalgebra::Rotation2::new(turn_rad);
+    for second in facing(near, b.azimuth_rad + turn_rad, |plane| plane.azimuth_rad) {
+        let most_m = apart_m + first.half_length_m + second.half_length_m;
+        if (second.middle - first.middle).xy().norm_squared() > most_m * most_m
+            || (second.rise - b.rise).abs() >= RISE
+        {
+            continue;
+        }
+        // n · (turn p + at) is where the landmark lies along n at that height, for both.
+        let rows = Matrix2::from_rows(&[first.normal.transpose(), second.normal.transpose()]);
+        let gap = |seen: &Rising, landmark: &Rising| {
+            let along_m = landmark.along_m(seen.middle.z + up_m);
+            along_m - landmark.normal.dot(&(turn * seen.middle.xy()))
+        };
+        let gaps = Vector2::new(gap(a, first), gap(b, second));
+        let Some(at) = rows.try_inverse().map(|inverse| inverse * gaps) else { continue };
+        let lies =
+            |seen: &Rising, landmark: &Rising| landmark.spans(&(turn * seen.middle.xy() + at));
+        if lies(a, first) && lies(b, second) {
+            emit(Place { turn_rad, at });
+        }
+    }
+}
+
+/// Of things by azimuth those within [`ANGLE_RAD`] of a direction.
+fn facing<T>(
+    by_azimuth: &[T],
+    azimuth_rad: f64,
+    azimuth_of: impl Fn(&T) -> f64,
+) -> impl Iterator<Item = &T> {
+    let azimuth_rad = wrap_pi(azimuth_rad);
+    let within = |low: f64, high: f64| {
+        let from = by_azimuth.partition_point(|thing| azimuth_of(thing) < low);
+        let to = by_azimuth.partition_point(|thing| azimuth_of(thing) <= high);
+        &by_azimuth[from..to.max(from)]
+    };
+    let (low, high) = (azimuth_rad - ANGLE_RAD, azimuth_rad + ANGLE_RAD);
+    let turn = std::f64::consts::TAU;
+    let turned =
+        [within(low, high), within(low + turn, high + turn), within(low - turn, high - turn)];
+    turned.into_iter().flatten()
+}
+
+/// The cell in which a rising landmark with this middle is looked up.
+fn cell_of(at: &Vector2<f64>) -> (i32, i32) {
+    let cell = |x: f64| (x / NEAR_M).floor().clamp(-1e6, 1e6) as i32;
+    (cell(at.x), cell(at.y))
 }
 
 impl Rising {

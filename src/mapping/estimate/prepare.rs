@@ -13,7 +13,7 @@ use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::recognise::recognise;
 use crate::mapping::scan_errors::{CommonColumns, ScanObservations, common_error_jacobian};
-use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix6, Vector2, Vector6};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix6, Point3, Vector2, Vector6};
 
 /// Part of the widening of a motion over the ground that its height, roll and pitch are widened by:
 /// stuck wheels and pushes move a robot over the ground, they do not lift it off.
@@ -130,8 +130,9 @@ impl Estimate {
             let gap = at - predicted.translation.vector.xy();
             gap.norm_squared() / level_m2 + turn_rad * turn_rad / spread[(5, 5)]
         };
-        let observations = &arrival.scan.observations;
-        let found = recognise(observations, self.there(), &predicted, |at, turn_rad| {
+        let (within_m, within_rad) = ((REACH * level_m2).sqrt(), (REACH * spread[(5, 5)]).sqrt());
+        let landmarks = self.landmarks_within(arrival, &predicted, within_m, within_rad);
+        let found = recognise(&arrival.scan.observations, landmarks, &predicted, |at, turn_rad| {
             distance(at, turn_rad) < REACH
         });
         let log_prior = |place: &Isometry3<f64>| {
@@ -151,17 +152,30 @@ impl Estimate {
         within_rad: f64,
     ) -> Vec<Isometry3<f64>> {
         let predicted = self.last_pose() * arrival.motion;
-        let observations = &arrival.scan.observations;
-        let hulls = || observations.iter().flat_map(Observation::hull_points);
-        let reach_m = hulls().map(|p| p.coords.norm()).fold(0.0, f64::max);
-        let landmarks = self
-            .landmarks_about(hulls().map(|p| predicted * p), within_m + within_rad * reach_m)
-            .map(|(landmark, _)| landmark);
-        let found = recognise(observations, landmarks, &predicted, |at, turn_rad| {
+        let landmarks = self.landmarks_within(arrival, &predicted, within_m, within_rad);
+        let found = recognise(&arrival.scan.observations, landmarks, &predicted, |at, turn_rad| {
             let gap = at - predicted.translation.vector.xy();
             gap.norm() < within_m && turn_rad.abs() < within_rad
         });
         found.into_iter().map(|found| found.world_from_robot).collect()
+    }
+
+    /// The landmarks still there that the scan may show from within so many metres and radians of a place.
+    fn landmarks_within(
+        &self,
+        arrival: &Arrival<'_>,
+        world_from_robot: &Isometry3<f64>,
+        within_m: f64,
+        within_rad: f64,
+    ) -> impl Iterator<Item = &Landmark> {
+        let hulls = || arrival.scan.observations.iter().flat_map(Observation::hull_points);
+        let reach_m = hulls().map(|p| p.coords.norm()).fold(0.0, f64::max);
+        // No turn puts a thing farther from where it is than the diameter of its circle.
+        let margin_m = within_m + reach_m * within_rad.min(2.0);
+        let corners: Vec<Point3<f64>> = hulls().map(|p| world_from_robot * p).collect();
+        self.landmarks_about(corners, margin_m)
+            .map(|(landmark, _)| landmark)
+            .filter(|landmark| !landmark.gone)
     }
 
     /// [`prepare`](Self::prepare) for a scan that was recognised at a place: what odometry says of the way
