@@ -4,6 +4,7 @@ mod grid;
 
 use super::files::{Format, Scan, median, read_scan, write_stdout};
 use super::say;
+use crate::exploration::Walls;
 use crate::export::keyframes::keyframes_at;
 use crate::export::landmarks::{rows, surface_polygons, surfaces_json};
 use crate::export::ply;
@@ -309,7 +310,7 @@ fn write_grid(
         ));
         supposed_m
     });
-    let (grid, places) = grid::grid(&images, &sensors, above_m);
+    let (grid, places) = grid::grid(&images, &sensors, above_m, &Walls::of(mapper.landmarks()));
     let map = trinary_map(&grid);
     let title = format!("{} scans", images.len());
     write(folder, "map.pgm", &map.pgm())?;

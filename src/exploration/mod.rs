@@ -12,7 +12,7 @@ mod view;
 
 pub use frontier::Frontier;
 pub use memory::FailedGoal;
-pub use places::{Doorway, Places, Room};
+pub use places::{Doorway, Places, Room, Walls};
 
 use crate::navigation::Pose2;
 use crate::terrain::{CellIndex, Grid};

@@ -1,12 +1,17 @@
-//! Rooms and doorways, found in the free space of the map: who looks at it thinks in rooms.
+//! Rooms and doorways, found in the free space of the map and between its planes: who looks at it thinks in
+//! rooms.
 //!
-//! The known ground is a landscape whose height is the distance from obstacles. Rooms are its hills: where
+//! The known ground is a landscape whose height is the distance from obstacles and from walls, which the grid
+//! shows where their feet were seen and the upright planes wherever they were seen. Rooms are its hills: where
 //! two meet in a pass that is no wider than a doorway, and the ground widens on both sides of it as it does
 //! on both sides of a wall, that is a doorway and links them. Elsewhere they are one room: a corridor is a
 //! ridge, however narrow and cluttered. Rooms keep their identity from one map to the next by the ground
 //! that they share, doorways by where they are.
 
 mod landscape;
+mod walls;
+
+pub use walls::Walls;
 
 use crate::terrain::{CellIndex, Grid};
 use landscape::{Ground, Meeting};
@@ -64,10 +69,10 @@ impl Default for Places {
 }
 
 impl Places {
-    /// The places of a grid; rooms that share most ground with one of `self` keep its identity, doorways that
+    /// The places of a grid between walls; rooms that share most ground with one of `self` keep its identity, doorways that
     /// are where one was theirs.
-    pub fn renewed(&self, grid: &Grid) -> Self {
-        let ground = Ground::of(grid);
+    pub fn renewed(&self, grid: &Grid, walls: &Walls) -> Self {
+        let ground = Ground::of(grid, walls);
         let labels = ground.flood();
         let doorways = ground.meetings(&labels);
         self.named(&ground, &labels, &doorways)
@@ -156,7 +161,9 @@ impl Places {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mapping::{Landmark, LandmarkId, MASK_CELL_M, Opening, PlaneMask};
     use crate::terrain::{CellClass, GridCell};
+    use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 
     /// A plan drawn in characters, half a metre each: `#` wall, `.` ground, blank unknown.
     fn plan(rows: &[&str]) -> Grid {
@@ -168,6 +175,7 @@ mod tests {
             .flat_map(|row| std::iter::repeat_n(row, fine))
             .flat_map(|row| row.chars().flat_map(move |c| std::iter::repeat_n(c, fine)))
             .map(|c| GridCell {
+                height_m: if c == '.' { 0.0 } else { f32::NAN },
                 class: match c {
                     '#' => CellClass::Occupied,
                     '.' => CellClass::Free,
@@ -194,15 +202,15 @@ mod tests {
 
     #[test]
     fn a_doorway_links_two_rooms() {
-        let places = Places::default().renewed(&plan(&TWO_ROOMS));
+        let places = Places::default().renewed(&plan(&TWO_ROOMS), &Walls::default());
         assert_eq!(places.rooms.len(), 2, "{places:?}");
         assert_eq!(places.doorways.len(), 1, "{places:?}");
         let doorway = &places.doorways[0];
-        assert_eq!(places.renewed(&plan(&TWO_ROOMS)).doorways[0].id, doorway.id);
+        assert_eq!(places.renewed(&plan(&TWO_ROOMS), &Walls::default()).doorways[0].id, doorway.id);
         // Elsewhere in the same wall it is another one.
         let mut moved = TWO_ROOMS;
         moved[1..6].rotate_left(3);
-        let moved = places.renewed(&plan(&moved));
+        let moved = places.renewed(&plan(&moved), &Walls::default());
         assert_eq!(moved.doorways.len(), 1, "{moved:?}");
         assert_ne!(moved.doorways[0].id, doorway.id);
         assert_eq!(doorway.rooms, (places.rooms[0].id, places.rooms[1].id));
@@ -211,13 +219,76 @@ mod tests {
         assert!(places.rooms.iter().all(|room| (room.area_m2 - 16.25).abs() < 1.0), "{places:?}");
     }
 
+    /// Upright squares of a plane along y, from `y_m` on, each covered over some heights.
+    fn wall(x_m: f64, spans: &[(f64, f64, f64, f64)]) -> Landmark {
+        let world_from_plane = Isometry3::from_parts(
+            Translation3::new(x_m, 0.0, 0.0),
+            UnitQuaternion::from_axis_angle(&Vector3::y_axis(), std::f64::consts::FRAC_PI_2),
+        );
+        let mut mask = PlaneMask::default();
+        for &(from_m, to_m, low_m, high_m) in spans {
+            let steps = |low: f64, high: f64| {
+                let count = ((high - low) / MASK_CELL_M).round() as i32;
+                (0..count).map(move |k| low + (f64::from(k) + 0.5) * MASK_CELL_M)
+            };
+            for y_m in steps(from_m, to_m) {
+                steps(low_m, high_m).for_each(|z_m| mask.insert(&Point2::new(-z_m, y_m)));
+            }
+        }
+        Landmark {
+            id: LandmarkId(0),
+            world_from_plane,
+            covariance: Matrix3::identity(),
+            hull: Vec::new(),
+            points: mask.count(),
+            mask,
+            rms_m: 0.0,
+            sightings: 1,
+            first_keyframe: 0,
+            last_keyframe: 0,
+            gone: false,
+            openings: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_wall_whose_foot_was_not_seen_divides_rooms_and_its_doorway_links_them() {
+        // The dividing wall stands behind benches that hide where it meets the floor: unknown there, and beside
+        // its doorway the grid is as open as in it.
+        let hidden = TWO_ROOMS.map(|row| row.replace(".#.", "..."));
+        let rows: Vec<&str> = hidden.iter().map(String::as_str).collect();
+        let grid = plan(&rows);
+        let alone = Places::default().renewed(&grid, &Walls::default());
+        assert_eq!((alone.rooms.len(), alone.doorways.len()), (1, 0), "{alone:?}");
+        // Up to the ceiling, over the doorway its lintel from 1.9 m on.
+        let spans = [(0.0, 2.0, 0.5, 2.5), (2.0, 3.0, 1.9, 2.5), (3.0, 5.0, 0.5, 2.5)];
+        let places = Places::default().renewed(&grid, &Walls::of(&[wall(4.75, &spans)]));
+        assert_eq!((places.rooms.len(), places.doorways.len()), (2, 1), "{places:?}");
+        let doorway = &places.doorways[0];
+        assert!((doorway.width_m - 1.0).abs() < 0.25, "{doorway:?}");
+        assert!((doorway.middle - Point2::new(4.75, 2.5)).norm() < 0.5, "{doorway:?}");
+        // A door that was shut when the wall was seen, and open later, is one.
+        let mut shut = wall(4.75, &[(0.0, 5.0, 0.5, 2.5)]);
+        let closed = Places::default().renewed(&grid, &Walls::of([&shut]));
+        assert_eq!((closed.rooms.len(), closed.doorways.len()), (2, 0), "{closed:?}");
+        shut.openings.push(Opening { centre: Point2::new(-1.0, 2.5), radius_m: 0.6 });
+        let opened = Places::default().renewed(&grid, &Walls::of([&shut]));
+        assert_eq!((opened.rooms.len(), opened.doorways.len()), (2, 1), "{opened:?}");
+        // A back that ends at a bench's height, and what hangs from the ceiling, divide nothing.
+        for (low_m, high_m) in [(0.0, 0.8), (1.9, 2.6)] {
+            let across = wall(4.75, &[(0.0, 5.0, low_m, high_m)]);
+            let places = Places::default().renewed(&grid, &Walls::of(&[across]));
+            assert_eq!(places.rooms.len(), 1, "{low_m} to {high_m} m: {places:?}");
+        }
+    }
+
     #[test]
     fn a_room_keeps_its_identity_when_the_map_grows() {
         let half: Vec<String> = TWO_ROOMS.iter().map(|row| format!("{:19}", &row[..10])).collect();
         let half: Vec<&str> = half.iter().map(String::as_str).collect();
-        let before = Places::default().renewed(&plan(&half));
+        let before = Places::default().renewed(&plan(&half), &Walls::default());
         assert_eq!(before.rooms.len(), 1, "{before:?}");
-        let after = before.renewed(&plan(&TWO_ROOMS));
+        let after = before.renewed(&plan(&TWO_ROOMS), &Walls::default());
         assert_eq!(after.rooms.len(), 2);
         let kept = after.rooms.iter().find(|room| room.id == before.rooms[0].id);
         assert!(kept.is_some_and(|room| room.middle.x < 4.5), "{after:?}");
@@ -228,7 +299,7 @@ mod tests {
         let mut rows = TWO_ROOMS.map(|row| row.replace(".#.", "..."));
         rows[4] = "#.....####........#".into();
         let rows: Vec<&str> = rows.iter().map(String::as_str).collect();
-        let places = Places::default().renewed(&plan(&rows));
+        let places = Places::default().renewed(&plan(&rows), &Walls::default());
         assert_eq!((places.rooms.len(), places.doorways.len()), (1, 0), "{places:?}");
     }
 
@@ -247,7 +318,7 @@ mod tests {
             "     ...#     ...#",
             "     ####     ####",
         ];
-        let places = Places::default().renewed(&plan(&rows));
+        let places = Places::default().renewed(&plan(&rows), &Walls::default());
         assert_eq!((places.rooms.len(), places.doorways.len()), (2, 1), "{places:?}");
     }
 
@@ -271,7 +342,7 @@ mod tests {
             "#.......#.......#.......#",
             "#########################",
         ];
-        let places = Places::default().renewed(&plan(&rows));
+        let places = Places::default().renewed(&plan(&rows), &Walls::default());
         assert_eq!((places.rooms.len(), places.doorways.len()), (6, 5), "{places:?}");
         let corridor = places.rooms.iter().max_by(|a, b| a.area_m2.total_cmp(&b.area_m2));
         let corridor = corridor.map(|room| room.id).unwrap();
@@ -302,7 +373,7 @@ mod tests {
             cells[index].class = CellClass::Free;
         }
         grid = Grid::from_cells(0.1, CellIndex { x: 0, y: 0 }, grid.width(), cells);
-        let places = Places::default().renewed(&grid);
+        let places = Places::default().renewed(&grid, &Walls::default());
         assert_eq!((places.rooms.len(), places.doorways.len()), (2, 0), "{places:?}");
     }
 
@@ -313,7 +384,7 @@ mod tests {
             *row = "#.................#";
         }
         rows[1] = TWO_ROOMS[1];
-        let places = Places::default().renewed(&plan(&rows));
+        let places = Places::default().renewed(&plan(&rows), &Walls::default());
         assert_eq!((places.rooms.len(), places.doorways.len()), (1, 0), "{places:?}");
     }
 }

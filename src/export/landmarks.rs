@@ -1,9 +1,9 @@
 //! Landmarks of a map as JSON and as polygons.
 
-use super::map_scene::surface_colour;
+use super::map_scene::{mask_rectangles, surface_colour};
 use super::ply;
 use crate::mapping::{CurveKind, CurvedLandmark, Landmark, Mapper};
-use nalgebra::{Point3, SMatrix, Vector3};
+use nalgebra::{Point2, Point3, SMatrix, Vector3};
 use serde_json::{Value, json};
 
 /// A matrix as a list of rows.
@@ -26,7 +26,7 @@ pub fn surfaces_json(mapper: &Mapper) -> Vec<Value> {
 /// The surfaces of a map as polygons, coloured by how they lie.
 pub fn surface_polygons(mapper: &Mapper) -> Vec<ply::Polygon> {
     let there = mapper.landmarks().iter().filter(|landmark| !landmark.gone);
-    let planes = there.map(landmark_polygon);
+    let planes = there.flat_map(landmark_polygons);
     let sides = mapper.curves().iter().flat_map(curve_sides).map(|(vertices, normal)| {
         let colour = surface_colour(&normal, vertices[0].z);
         ply::Polygon { vertices, colour: [colour.red, colour.green, colour.blue] }
@@ -89,16 +89,25 @@ fn landmark_json(landmark: &Landmark) -> Value {
         "centroid": landmark.origin(),
         "hull": landmark.hull_points().collect::<Vec<_>>(),
         "area_m2": landmark.area_m2(),
+        "mask": landmark_rectangles(landmark),
         "mask_area_m2": landmark.mask.area_m2(),
         "covariance": rows(&landmark.covariance),
     })
 }
 
-/// A landmark's hull, coloured by how it lies.
-fn landmark_polygon(landmark: &Landmark) -> ply::Polygon {
+/// The cells of a landmark that were hit as rectangles, in the world: within its hull doorways are open.
+fn landmark_rectangles(landmark: &Landmark) -> Vec<[Point3<f64>; 4]> {
+    let place = |p: Point2<f64>| landmark.world_from_plane * Point3::new(p.x, p.y, 0.0);
+    mask_rectangles(&landmark.mask).into_iter().map(|corners| corners.map(place)).collect()
+}
+
+/// What was hit of a landmark, or its hull where no cells are known, coloured by how it lies.
+fn landmark_polygons(landmark: &Landmark) -> Vec<ply::Polygon> {
     let colour = surface_colour(&landmark.normal(), landmark.origin().z);
-    ply::Polygon {
-        vertices: landmark.hull_points().collect(),
-        colour: [colour.red, colour.green, colour.blue],
+    let colour = [colour.red, colour.green, colour.blue];
+    let polygon = |vertices: Vec<Point3<f64>>| ply::Polygon { vertices, colour };
+    if landmark.mask.is_empty() {
+        return vec![polygon(landmark.hull_points().collect())];
     }
+    landmark_rectangles(landmark).into_iter().map(|corners| polygon(corners.to_vec())).collect()
 }

@@ -11,7 +11,7 @@ use super::report::{
 };
 use super::tum::{self, TimedPose};
 use super::{map3d, ply};
-use crate::exploration::Places;
+use crate::exploration::{Places, Walls};
 use crate::mission::{Agent, Belief, Running};
 use crate::terrain::{Grid, Trinary};
 use nalgebra::{Isometry3, Vector3};
@@ -97,7 +97,7 @@ pub fn map_files(agent: &Agent, title: &str) -> Files {
         .map(|(stamp, pose)| TimedPose { time_s: stamp.seconds(), pose })
         .collect();
     let path: Vec<Isometry3<f64>> = poses.iter().map(|timed| timed.pose).collect();
-    let places = running.places().renewed(&grid);
+    let places = running.places().renewed(&grid, &Walls::of(belief.mapper().landmarks()));
     let places_json = serde_json::to_vec_pretty(&places).expect("numbers are always JSON");
     let keyframes_json = serde_json::to_vec(&keyframes(belief)).expect("numbers are always JSON");
     let overlay = Overlay { places, ..overlay(running, title, &path) };

@@ -11,7 +11,7 @@ use super::operator::{DriveLease, Mode};
 use super::pilot::{Hold, Pilot};
 use super::sign_test::SignTest;
 use crate::acquisition::{Acquisition, HeadEvent, Profile, SweepRequest};
-use crate::exploration::{Explorer, Frontier, FrontierLeft, Places};
+use crate::exploration::{Explorer, Frontier, FrontierLeft, Places, Walls};
 use crate::navigation::{DriveCommand, Motion, Planner, Pose2, Recovery};
 use crate::protocol::Command;
 use crate::robot::{BodySpeed, PhantomWatch, Rig, WheelCount};
@@ -334,7 +334,8 @@ impl Running {
     /// Makes the grid anew after a sweep, and the places with it.
     pub(super) fn map_sweep(&mut self, now: Arrival) {
         self.refresh_grid(now);
-        self.places = self.places.renewed(&self.grid);
+        let walls = Walls::of(self.belief.mapper().landmarks());
+        self.places = self.places.renewed(&self.grid, &walls);
     }
 
     pub(super) fn refresh_grid(&mut self, now: Arrival) {

@@ -1,6 +1,6 @@
 //! The 2D grid of organised scans at the poses that the mapper gave them.
 
-use crate::exploration::Places;
+use crate::exploration::{Places, Walls};
 use crate::export::canvas::Canvas;
 use crate::export::map_picture::{self, Overlay};
 use crate::mapping::Landmark;
@@ -38,9 +38,14 @@ pub fn sensor_above_floor(landmarks: &[Landmark], sensors: &[Isometry3<f64>]) ->
 
 /// The grid on the level of the last scan, for a robot of the default shape that carries the sensor
 /// `above_m` over the floor. Where it stood there was ground: the disc that the sensor cannot see into
-/// is assumed. With it the rooms and doorways, which keep from scan to scan who they are: a map of the first scans
+/// is assumed. With it the rooms and doorways between these walls, which keep from scan to scan who they are: a map of the first scans
 /// alone has most of them under the same numbers.
-pub fn grid(images: &[&RangeImage], sensors: &[Isometry3<f64>], above_m: f64) -> (Grid, Places) {
+pub fn grid(
+    images: &[&RangeImage],
+    sensors: &[Isometry3<f64>],
+    above_m: f64,
+    walls: &Walls,
+) -> (Grid, Places) {
     let shape = RobotShape {
         base_above_floor_m: above_m,
         height_m: RobotShape::default().height_m.max(above_m + 0.1),
@@ -54,12 +59,12 @@ pub fn grid(images: &[&RangeImage], sensors: &[Isometry3<f64>], above_m: f64) ->
         terrain.assume(pose, blind_m.clamp(shape.circumscribed_radius_m(), MOST_ASSUMED_M));
         terrain.integrate(image, pose);
         if number == next {
-            places = places.renewed(&terrain.project(pose));
+            places = places.renewed(&terrain.project(pose), walls);
             next += 1 + number / 4;
         }
     }
     let grid = terrain.project(&sensors.last().copied().unwrap_or_default());
-    let places = places.renewed(&grid);
+    let places = places.renewed(&grid, walls);
     (grid, places)
 }
 

@@ -1,5 +1,6 @@
-//! The known ground as a landscape, whose height is the distance from obstacles, flooded from its tops down.
+//! The known ground as a landscape, whose height is the distance from obstacles and walls, flooded from its tops down.
 
+use super::walls::Walls;
 use crate::terrain::{CellClass, CellIndex, Grid};
 use nalgebra::{Point2, Vector2};
 use std::collections::{BTreeMap, BTreeSet};
@@ -27,6 +28,9 @@ const OPPOSITE: f64 = -0.7;
 const ABOUT_AS_NEAR: f64 = 1.3;
 /// Narrowest passage that counts as a doorway, in metres: what is left between points of a wall is none.
 const NARROWEST_DOORWAY_M: f64 = 0.4;
+
+/// How many cells beside a wall the ground is looked for that it bounds.
+const BESIDE_CELLS: i32 = 5;
 
 /// Where two rooms meet.
 pub(super) struct Meeting {
@@ -82,6 +86,20 @@ impl Floods {
     }
 }
 
+fn is_ground(class: CellClass) -> bool {
+    class.is_drivable() || class == CellClass::FlatFree
+}
+
+/// Height of the known ground nearest to a cell, no farther than [`BESIDE_CELLS`] along each axis.
+fn ground_beside(grid: &Grid, cell: CellIndex) -> Option<f64> {
+    let about = -BESIDE_CELLS..=BESIDE_CELLS;
+    let near = about.clone().flat_map(|dy| about.clone().map(move |dx| (dx, dy)));
+    near.map(|(dx, dy)| (dx * dx + dy * dy, grid.get(CellIndex { x: cell.x + dx, y: cell.y + dy })))
+        .filter(|(_, cell)| is_ground(cell.class) && cell.height_m.is_finite())
+        .min_by_key(|(squared, _)| *squared)
+        .map(|(_, cell)| f64::from(cell.height_m))
+}
+
 /// The grid as ground and what bounds it.
 pub(super) struct Ground<'a> {
     pub grid: &'a Grid,
@@ -94,17 +112,23 @@ pub(super) struct Ground<'a> {
 }
 
 impl<'a> Ground<'a> {
-    pub fn of(grid: &'a Grid) -> Self {
-        let free: Vec<bool> = grid
-            .cells()
-            .iter()
-            .map(|cell| cell.class.is_drivable() || cell.class == CellClass::FlatFree)
-            .collect();
+    pub fn of(grid: &'a Grid, walls: &Walls) -> Self {
+        let mut free: Vec<bool> = grid.cells().iter().map(|cell| is_ground(cell.class)).collect();
         let bound = |class: CellClass| {
             matches!(class, CellClass::Occupied | CellClass::TooSteep | CellClass::DropOff)
         };
-        let clear =
+        let mut clear: Vec<u32> =
             grid.cells().iter().map(|cell| if bound(cell.class) { 0 } else { u32::MAX }).collect();
+        for column in walls.columns() {
+            let cell = grid.cell_of(column.at.x, column.at.y);
+            let (Some(index), Some(ground_m)) = (grid.index(cell), ground_beside(grid, cell))
+            else {
+                continue;
+            };
+            if column.bounds(ground_m) {
+                (clear[index], free[index]) = (0, false);
+            }
+        }
         let inside = free.iter().map(|&free| if free { u32::MAX } else { 0 }).collect();
         let mut ground = Self { grid, free, clear, inside };
         ground.forget_furniture();
