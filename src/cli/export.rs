@@ -2,20 +2,15 @@
 
 use super::files::write_stdout;
 use super::say;
-use super::session::{self, Session};
-use crate::driver::replay::Replay;
+use super::series::{Replayed, Series, watched};
 use crate::export::cloud;
 use crate::export::run_folder::{Files, map_files};
-use crate::export::score;
-use crate::export::tum::{self, TimedPose};
+use crate::export::tum;
 use crate::files::pcd::{Encoding, write_pcd};
 use crate::files::replace::replace_file;
 use crate::mission::Agent;
-use crate::scan::PointGrid;
-use crate::time::Stamp;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use nalgebra::Isometry3;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -145,25 +140,12 @@ impl Source<'_> {
 
     fn replay(&mut self) -> Result<&(Box<Agent>, Files)> {
         if self.replayed.is_none() {
-            let (agent, name) = self.watched(|_| {})?;
+            let Replayed { agent, name, loss } = watched(self.run, |_| {})?;
+            self.loss = loss;
             let files = map_files(&agent, &name);
             self.replayed = Some((Box::new(agent), files));
         }
         self.replayed.as_ref().context("the session was replayed")
-    }
-
-    /// Replays the session, calling `watch` after each step; the agent at its end and the session's name.
-    fn watched(&mut self, mut watch: impl FnMut(&Agent)) -> Result<(Agent, String)> {
-        let Session { recording, agent, name, .. } = session::open(self.run, None, false, &[])?;
-        if let Some(loss) = &recording.loss {
-            say::warn(format_args!("the recording is not whole: {loss}"));
-            self.loss = true;
-        }
-        let mut replay = Replay::new(agent, &recording);
-        while replay.step().context("the recording holds an unreadable operator event")? {
-            watch(replay.agent());
-        }
-        Ok((replay.finish().0, name))
     }
 }
 
@@ -176,11 +158,8 @@ fn scans(arguments: &ExportArguments, source: &mut Source<'_>) -> Result<()> {
         Some(path) => path.clone(),
         None => PathBuf::from(format!("{}_scans", stem(&arguments.run))),
     };
-    let mut series = ScanSeries::default();
-    source.watched(|agent| series.watch(agent))?;
-    if series.scans.is_empty() {
-        bail!("no scan in {}: there is none to export", arguments.run.display());
-    }
+    let series = Series::read(&arguments.run)?;
+    source.loss = series.loss;
     std::fs::create_dir_all(&folder)
         .with_context(|| format!("cannot make {}", folder.display()))?;
     for (number, scan) in series.scans.iter().enumerate() {
@@ -188,66 +167,9 @@ fn scans(arguments: &ExportArguments, source: &mut Source<'_>) -> Result<()> {
         save(&folder.join(format!("scan_{number:03}.pcd")), &bytes)?;
     }
     save(&folder.join("odometry.tum"), tum::format(&series.way).as_bytes())?;
-    match true_way(&arguments.run, &series)? {
-        Some(way) => save(&folder.join("truth.tum"), tum::format(&way).as_bytes()),
+    match &series.truth {
+        Some(way) => save(&folder.join("truth.tum"), tum::format(way).as_bytes()),
         None => Ok(()),
-    }
-}
-
-/// Where the sensor truly was at each scan, for `usar map --truth`, where the run's folder says where the robot was.
-fn true_way(run: &Path, series: &ScanSeries) -> Result<Option<Vec<TimedPose>>> {
-    let file = run.join("truth.tum");
-    if !file.is_file() {
-        return Ok(None);
-    }
-    let text = std::fs::read_to_string(&file)
-        .with_context(|| format!("cannot read {}", file.display()))?;
-    let truth = tum::parse(&text).with_context(|| format!("cannot read {}", file.display()))?;
-    let sensors = series.way.iter().zip(&series.robot_from_scan);
-    Ok(sensors
-        .map(|(timed, robot_from_scan)| {
-            let robot = score::at(&truth, timed.time_s)?;
-            Some(TimedPose { time_s: timed.time_s, pose: robot * robot_from_scan })
-        })
-        .collect())
-}
-
-/// The scans that went into a map as they came, with the poses of the sensor by dead reckoning alone.
-#[derive(Default)]
-struct ScanSeries {
-    scans: Vec<PointGrid>,
-    way: Vec<TimedPose>,
-    robot_from_scan: Vec<Isometry3<f64>>,
-    /// The robot by dead reckoning at the last scan, and where the map put it after that.
-    last: Option<(Isometry3<f64>, Isometry3<f64>)>,
-    /// Where the agent had the robot a step ago.
-    before: Option<Isometry3<f64>>,
-}
-
-impl ScanSeries {
-    fn watch(&mut self, agent: &Agent) {
-        let Some(running) = agent.running() else { return };
-        let belief = running.belief();
-        let now = belief.world_from_robot();
-        if let Some((keyframe, image)) = belief.last_sweep()
-            && keyframe >= self.scans.len()
-        {
-            // The map corrects the robot in the step that takes the scan in.
-            let arrived = self.before.unwrap_or(now);
-            let reckoned = match &self.last {
-                Some((reckoned, corrected)) => reckoned * corrected.inverse() * arrived,
-                None => arrived,
-            };
-            self.last = Some((reckoned, now));
-            let stamp = belief.keyframe_stamps().last().flatten();
-            self.way.push(TimedPose {
-                time_s: stamp.map_or(self.scans.len() as f64, Stamp::seconds),
-                pose: reckoned * image.robot_from_scan,
-            });
-            self.robot_from_scan.push(image.robot_from_scan);
-            self.scans.push(image.point_grid(0..image.columns()));
-        }
-        self.before = Some(now);
     }
 }
 

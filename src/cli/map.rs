@@ -4,6 +4,7 @@ mod grid;
 
 use super::files::{Format, Scan, median, read_scan, write_stdout};
 use super::say;
+use super::series::{Series, is_session};
 use crate::exploration::Walls;
 use crate::export::keyframes::keyframes_at;
 use crate::export::landmarks::{rows, surface_polygons, surfaces_json};
@@ -15,7 +16,7 @@ use crate::mapping::{
     Mapper, MapperConfig, Mode, MotionSource, RefusalReason, ScanErrors, ScanObservations,
     UpdateReport, WeakDirection, curved_observations, observations, unmeasured_motion,
 };
-use crate::scan::RangeImage;
+use crate::scan::{PointGrid, RangeImage};
 use crate::segmentation::{SegmentationConfig, Segmenter};
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
@@ -29,9 +30,11 @@ use std::time::Instant;
 
 /// Arguments of `usar map`.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  usar map scan_*.pcd --odometry odometry.tum --out run/")]
+#[command(after_help = "Examples:\n  usar map scan_*.pcd --odometry odometry.tum --out run/\n  \
+                  usar map run/ --mode mip --out mip/")]
 pub struct MapArguments {
-    /// Organised scans in order: PCD 0.7 with HEIGHT > 1, points in the sensor's frame
+    /// Organised scans in order: PCD 0.7 with HEIGHT > 1, points in the sensor's frame. Or one run folder or
+    /// session, whose scans, way and truth are taken
     #[arg(required = true)]
     scans: Vec<PathBuf>,
     /// Odometry poses of the sensor, one TUM line a scan; without it each scan is sought within about a
@@ -65,6 +68,9 @@ enum ModeArgument {
     Mip,
 }
 
+/// The session was cut or damaged, and what could be read of it was mapped.
+const DONE_WITH_LOSS: u8 = 3;
+
 /// What one scan came to.
 struct Step {
     time_s: f64,
@@ -84,8 +90,7 @@ struct Step {
 /// written.
 pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
     say::log("warn");
-    let odometry = read_poses(arguments.odometry.as_deref(), arguments.scans.len())?;
-    let truth = read_poses(arguments.truth.as_deref(), arguments.scans.len())?;
+    let Input { scans, odometry, truth, loss } = Input::of(arguments)?;
     let mode = match arguments.mode {
         ModeArgument::Full => Mode::Full,
         ModeArgument::Mip => Mode::Mip,
@@ -96,13 +101,13 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
     let mut segmenter = Segmenter::new(SegmentationConfig::default());
     let mut steps = Vec::new();
     let mut images = Vec::new();
-    for (k, path) in arguments.scans.iter().enumerate() {
-        let Scan { grid: whole, viewpoint } = read_scan(path)?;
+    for (k, source) in scans.into_iter().enumerate() {
+        let name = source.name(k);
+        let Scan { grid: whole, viewpoint } = source.read()?;
         let robot_from_scan = Isometry3::from(viewpoint.coords);
         let grid = match &arguments.columns {
             Some(columns) if columns.end > whole.columns() => bail!(
-                "{}: --columns {}..{} asked for, {} columns found",
-                path.display(),
+                "{name}: --columns {}..{} asked for, {} columns found",
                 columns.start,
                 columns.end,
                 whole.columns()
@@ -149,7 +154,65 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
         Format::Text => summary(&mapper, &steps, score.as_ref()),
         Format::Json => serde_json::to_string(&document)? + "\n",
     })?;
-    Ok(ExitCode::SUCCESS)
+    Ok(if loss { ExitCode::from(DONE_WITH_LOSS) } else { ExitCode::SUCCESS })
+}
+
+/// What is to be mapped.
+struct Input {
+    scans: Vec<Source>,
+    /// Poses of the sensor, one a scan.
+    odometry: Option<Vec<TimedPose>>,
+    truth: Option<Vec<TimedPose>>,
+    /// Whether the session that it comes from is not whole.
+    loss: bool,
+}
+
+/// Where a scan comes from.
+enum Source {
+    File(PathBuf),
+    /// The session had it.
+    Session(PointGrid),
+}
+
+impl Input {
+    fn of(arguments: &MapArguments) -> Result<Self> {
+        let mut input = match arguments.scans.as_slice() {
+            [path] if is_session(path) => {
+                let Series { scans, way, truth, loss, .. } = Series::read(path)?;
+                let scans = scans.into_iter().map(Source::Session).collect();
+                Self { scans, odometry: Some(way), truth, loss }
+            }
+            paths => {
+                if let Some(path) = paths.iter().find(|path| is_session(path)) {
+                    bail!("{} is a session: it is mapped alone", path.display());
+                }
+                let scans = paths.iter().cloned().map(Source::File).collect();
+                Self { scans, odometry: None, truth: None, loss: false }
+            }
+        };
+        let poses = |path: &Path| read_poses(path, input.scans.len());
+        let odometry = arguments.odometry.as_deref().map(poses).transpose()?;
+        let truth = arguments.truth.as_deref().map(poses).transpose()?;
+        input.odometry = odometry.or(input.odometry);
+        input.truth = truth.or(input.truth);
+        Ok(input)
+    }
+}
+
+impl Source {
+    fn name(&self, k: usize) -> String {
+        match self {
+            Self::File(path) => path.display().to_string(),
+            Self::Session(_) => format!("scan {}", k + 1),
+        }
+    }
+
+    fn read(self) -> Result<Scan> {
+        match self {
+            Self::File(path) => read_scan(&path),
+            Self::Session(grid) => Ok(Scan { grid, viewpoint: Point3::origin() }),
+        }
+    }
 }
 
 struct Stopwatch(Instant);
@@ -171,8 +234,7 @@ impl Stopwatch {
 /// Farthest from one scan to the next that is no broken line of a file, in metres.
 const FARTHEST_STEP_M: f64 = 1000.0;
 
-fn read_poses(path: Option<&Path>, scans: usize) -> Result<Option<Vec<TimedPose>>> {
-    let Some(path) = path else { return Ok(None) };
+fn read_poses(path: &Path, scans: usize) -> Result<Vec<TimedPose>> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let poses = tum::parse(&text).with_context(|| format!("{}", path.display()))?;
@@ -195,7 +257,7 @@ fn read_poses(path: Option<&Path>, scans: usize) -> Result<Option<Vec<TimedPose>
             at + 2
         );
     }
-    Ok(Some(poses))
+    Ok(poses)
 }
 
 /// Errors of the motions between successive scans against the truth.

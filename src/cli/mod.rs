@@ -17,6 +17,7 @@ mod run;
 mod say;
 mod scan;
 mod segment;
+mod series;
 mod session;
 mod sim;
 

@@ -228,6 +228,17 @@ fn a_run_is_recorded_verified_scored_and_exported() {
     let scored = usar(&["eval", text(&again), "--format", "json"]);
     let score: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
     assert!(number(&score["ate"]["final_m"]) < 0.05, "{score}");
+    // As from the run itself.
+    let direct = folder.path().join("direct");
+    let mapped = usar(&["map", text(&one), "--mode", "mip", "--out", text(&direct)]);
+    assert!(mapped.status.success(), "{}", stderr(&mapped));
+    let way_of = |run: &std::path::Path| fs::read_to_string(run.join("trajectory.tum")).unwrap();
+    assert_eq!(way_of(&direct).lines().count(), way_of(&again).lines().count());
+    let scored = usar(&["eval", text(&direct), "--format", "json"]);
+    let score: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
+    assert!(number(&score["ate"]["final_m"]) < 0.05, "{score}");
+    assert_eq!(usar(&["map", text(&cut)]).status.code(), Some(3));
+    fails_with(&["map", text(&one), text(&scans[0])], &["is a session: it is mapped alone"]);
 
     let info = usar(&["info", text(&session), "--format", "json"]);
     let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
