@@ -387,6 +387,21 @@ impl Belief {
         ScanFindings { planes, spheres, cylinders, update, redrawn }
     }
 
+    /// The vertical in the robot's frame, as a sweep shows it, or as it was said to stand where that shows nothing else.
+    pub(super) fn up_as_seen(&mut self, image: &RangeImage) -> Unit<Vector3<f64>> {
+        let columns = self.segmented_columns(image.columns());
+        let grid = image.point_grid(columns);
+        let segmenter =
+            self.segmenter.get_or_insert_with(|| Segmenter::new(self.config.segmentation.clone()));
+        let seen = observations(segmenter.segment(&grid), &grid, &image.robot_from_scan);
+        let assumed = self.assumed_up();
+        upright(&seen, &assumed).unwrap_or(assumed)
+    }
+
+    fn assumed_up(&self) -> Unit<Vector3<f64>> {
+        Unit::new_normalize(self.world_from_robot().rotation.inverse() * Vector3::z())
+    }
+
     /// Before the first sweep is taken in: if it shows that the robot does not stand as it was said to, the map begins
     /// so that it does, and the inertial unit, which has missed that, is off by it.
     fn stand_as_seen(&mut self, observations: &[Observation]) {
@@ -394,8 +409,7 @@ impl Belief {
             return;
         }
         let world_from_robot = self.world_from_robot();
-        let assumed = Unit::new_normalize(world_from_robot.rotation.inverse() * Vector3::z());
-        let Some(up) = upright(observations, &assumed) else { return };
+        let Some(up) = upright(observations, &self.assumed_up()) else { return };
         let (_, _, heading_rad) = world_from_robot.rotation.euler_angles();
         // Roll and pitch of `Rz Ry Rx` under which the vertical is `up` in the robot's frame.
         let (roll_rad, pitch_rad) = (up.y.atan2(up.z), (-up.x).asin());

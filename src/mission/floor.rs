@@ -1,6 +1,7 @@
 //! How high the robot stands: no message tells it, a sweep does.
 
 use crate::scan::{RangeImage, Return};
+use nalgebra::{Point3, Unit, Vector3};
 
 /// Floor is looked for within this of the robot, in metres; a rig that sees no ground so near looks
 /// farther.
@@ -16,23 +17,37 @@ const SPREAD: usize = 4;
 const ENOUGH: usize = 50;
 const TIMES_THE_REST: f64 = 4.0;
 
-/// How far the floor lies below the robot's origin in metres, from what a sweep saw of it nearby;
-/// `None` where too little was seen.
+/// How far the floor lies below the robot's origin in metres, from what a sweep saw of it nearby, where `up` is
+/// the vertical in the robot's frame; `None` where too little was seen.
 ///
 /// The commonest depth and the median about it: walls and boxes spread over all depths, the floor
 /// does not.
-pub(super) fn floor_below_m(image: &RangeImage) -> Option<f64> {
-    REACHES_M.iter().find_map(|reach_m| floor_within(image, *reach_m))
+pub(super) fn floor_below_m(image: &RangeImage, up: &Unit<Vector3<f64>>) -> Option<f64> {
+    REACHES_M.iter().find_map(|reach_m| floor_within(image, up, *reach_m))
 }
 
-fn floor_within(image: &RangeImage, reach_m: f64) -> Option<f64> {
+/// How high the robot's origin would stand if all of these contacts, given in its frame, touched the floor, where it
+/// stands `depth_m` above it and tilted: the lowest of them touches it, on a board or beside one.
+pub(super) fn height_on_level_m(
+    depth_m: f64,
+    up: &Unit<Vector3<f64>>,
+    contacts: &[Point3<f64>],
+) -> f64 {
+    let lever_m = |contact: &Point3<f64>| -(up.x * contact.x + up.y * contact.y);
+    let lowest_m = contacts.iter().map(lever_m).fold(0.0, f64::max);
+    (depth_m - lowest_m) / up.z
+}
+
+fn floor_within(image: &RangeImage, up: &Unit<Vector3<f64>>, reach_m: f64) -> Option<f64> {
     let mut depths: Vec<f64> = Vec::new();
     for row in 0..image.rows().len() {
         for column in 0..image.columns() {
             let Return::Hit(range) = image.at(row, column) else { continue };
             let p = image.robot_from_scan * image.point_at(row, column, range);
-            if p.x.hypot(p.y) < reach_m && (0.0..DEEPEST_M).contains(&-p.z) {
-                depths.push(-p.z);
+            let depth_m = -up.dot(&p.coords);
+            let beside_m = (p.coords.norm_squared() - depth_m * depth_m).max(0.0).sqrt();
+            if beside_m < reach_m && (0.0..DEEPEST_M).contains(&depth_m) {
+                depths.push(depth_m);
             }
         }
     }
@@ -104,13 +119,14 @@ mod tests {
     #[test]
     fn the_floor_is_found_near_or_far() {
         for (tilts, wall_m) in [(-25..30, 6.0), (-9..9, 12.0), (-25..30, 2.0)] {
-            let height_m = floor_below_m(&image(tilts.clone(), wall_m)).expect("floor is in sight");
+            let height_m = floor_below_m(&image(tilts.clone(), wall_m), &Vector3::z_axis())
+                .expect("floor is in sight");
             assert!((height_m - 0.18).abs() < 0.01, "{tilts:?}: {height_m}");
         }
     }
 
     #[test]
     fn a_wall_is_no_floor() {
-        assert_eq!(floor_below_m(&image(-9..9, 2.0)), None);
+        assert_eq!(floor_below_m(&image(-9..9, 2.0), &Vector3::z_axis()), None);
     }
 }

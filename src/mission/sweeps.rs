@@ -1,6 +1,6 @@
 //! Sweeps: the head is served, and what a finished sweep tells enters the belief.
 
-use super::floor::floor_below_m;
+use super::floor::{floor_below_m, height_on_level_m};
 use super::pilot::Pilot;
 use super::running::{Activity, Desk, Look, Running, explorer, shape_of};
 use crate::acquisition::{HeadAction, HeadEvent, Profile, Reach, Scan};
@@ -117,7 +117,10 @@ impl Running {
     /// is still empty then and is begun anew with the measured height.
     fn measure_floor(&mut self, scan: &Scan, desk: &mut Desk<'_>) {
         let guess_m = self.shape.base_above_floor_m;
-        let measured_m = floor_below_m(&scan.image);
+        let up = self.belief.up_as_seen(&scan.image);
+        let depth_m = floor_below_m(&scan.image, &up);
+        let contacts = self.shape.contacts();
+        let measured_m = depth_m.map(|depth_m| height_on_level_m(depth_m, &up, &contacts));
         if let Some(height_m) = measured_m.filter(|height_m| (height_m - guess_m).abs() >= 0.01) {
             self.stand_at(height_m, desk);
         }
