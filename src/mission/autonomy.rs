@@ -453,6 +453,10 @@ impl Running {
     /// Nothing leads away from here: the map is drawn anew if that changes it, else the robot backs out.
     fn get_out(&mut self, desk: &mut Desk<'_>) {
         self.give_ups = 0;
+        if self.assume_turning_room(desk) {
+            self.activity = Activity::Rest { until: desk.now };
+            return;
+        }
         if self.belief.mend() {
             desk.info("wedged in: the map is drawn anew from where its sweeps are believed now");
             self.activity = Activity::Rest { until: desk.now };

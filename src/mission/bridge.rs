@@ -26,6 +26,9 @@ const SAME_HEADING_RAD: f64 = 0.5;
 /// Sides that are looked over for whole ground.
 const SIDES: u32 = 24;
 
+/// A robot that stands by this much beside its start has been moved off it, in metres.
+const DISPLACED_M: f64 = 0.05;
+
 /// Ground that a way needs beside the turning circle, in metres.
 const BESIDE_WAY_M: f64 = 0.1;
 
@@ -56,6 +59,32 @@ impl Running {
         });
         let at_start = self.belief.path_m() < START_M;
         !bridged_here && at_start && self.bridged.len() < MOST_BRIDGES
+    }
+
+    /// Where the robot has come to stand beside its start, off what it was set down on, the ground that it turns over
+    /// is none that was assumed: it is taken for ground, too, if all about it is whole. Once for each such place.
+    pub(super) fn assume_turning_room(&mut self, desk: &mut Desk<'_>) -> bool {
+        let pose = self.pose2();
+        let start = self.belief.start().translation.vector.xy().into();
+        let beside_m = pose.distance_m(&start);
+        let is_done =
+            self.turning_room.is_some_and(|at| at.distance_m(&pose.point()) < DISPLACED_M);
+        if beside_m < DISPLACED_M || self.belief.path_m() >= START_M || is_done {
+            return false;
+        }
+        let turning_m = self.shape.circumscribed_radius_m() + desk.config.mission.assumed_margin_m;
+        let Beyond { known, edges, .. } = self.beyond(&pose, turning_m + BRIDGE_M, 180);
+        if edges > 0 || known < RING_SEEN {
+            return false;
+        }
+        self.turning_room = Some(pose);
+        desk.warn(format!(
+            "the robot stands {beside_m:.2} m beside where it was set down, and what lies about it is whole, so it \
+             may turn here"
+        ));
+        self.belief.assume_towards(0.0, turning_m, std::f64::consts::PI);
+        self.refresh_grid(desk.now);
+        true
     }
 
     /// Takes the gap ahead, between the robot's own disc and the nearest ground that it can see, for

@@ -129,6 +129,8 @@ pub struct Running {
     pub(super) shunned: Vec<(CellIndex, Arrival)>,
     /// Where a gap that could not be seen was assumed.
     pub(super) bridged: Vec<Pose2>,
+    /// Where the ground that it turns over was assumed, beside the start.
+    pub(super) turning_room: Option<Pose2>,
     /// Last resorts tried since the robot last had somewhere to go.
     pub(super) resorts: u32,
     /// Rooms and doorways as the last sweep left them.
@@ -204,6 +206,7 @@ impl Running {
             frontiers_left: None,
             shunned: Vec::new(),
             bridged: Vec::new(),
+            turning_room: None,
             resorts: 0,
             places: Places::default(),
             looks_level: false,
