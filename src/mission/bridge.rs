@@ -62,7 +62,8 @@ impl Running {
     }
 
     /// Where the robot has come to stand beside its start, off what it was set down on, the ground that it turns over
-    /// is none that was assumed: it is taken for ground, too, if all about it is whole. Once for each such place.
+    /// is none that was assumed: it is taken for ground, too, if all about it is whole, or if its wheels stay on what was
+    /// assumed about the start and no edge is seen. Once for each such place.
     pub(super) fn assume_turning_room(&mut self, desk: &mut Desk<'_>) -> bool {
         let pose = self.pose2();
         let start = self.belief.start().translation.vector.xy().into();
@@ -74,13 +75,16 @@ impl Running {
         }
         let turning_m = self.shape.circumscribed_radius_m() + desk.config.mission.assumed_margin_m;
         let Beyond { known, edges, .. } = self.beyond(&pose, turning_m + BRIDGE_M, 180);
-        if edges > 0 || known < RING_SEEN {
+        let wheels_m =
+            self.shape.contacts().iter().map(|p| p.xy().coords.norm()).fold(0.0, f64::max);
+        let stays_on = beside_m + wheels_m <= turning_m;
+        if edges > 0 || !(known >= RING_SEEN || stays_on) {
             return false;
         }
         self.turning_room = Some(pose);
         desk.warn(format!(
-            "the robot stands {beside_m:.2} m beside where it was set down, and what lies about it is whole, so it \
-             may turn here"
+            "the robot stands {beside_m:.2} m beside where it was set down, and no edge is seen about it, so it may turn \
+             here"
         ));
         self.belief.assume_towards(0.0, turning_m, std::f64::consts::PI);
         self.refresh_grid(desk.now);
