@@ -75,10 +75,11 @@ impl Running {
         }
         let turning_m = self.shape.circumscribed_radius_m() + desk.config.mission.assumed_margin_m;
         let Beyond { known, edges, .. } = self.beyond(&pose, turning_m + BRIDGE_M, 180);
+        let is_whole = edges == 0 && known >= RING_SEEN;
         let wheels_m =
             self.shape.contacts().iter().map(|p| p.xy().coords.norm()).fold(0.0, f64::max);
-        let stays_on = beside_m + wheels_m <= turning_m;
-        if edges > 0 || !(known >= RING_SEEN || stays_on) {
+        let stays_on = beside_m + wheels_m <= turning_m && !self.is_edge_within(&pose, turning_m);
+        if !(is_whole || stays_on) {
             return false;
         }
         self.turning_room = Some(pose);
@@ -89,6 +90,12 @@ impl Running {
         self.belief.assume_towards(0.0, turning_m, std::f64::consts::PI);
         self.refresh_grid(desk.now);
         true
+    }
+
+    fn is_edge_within(&self, pose: &Pose2, radius_m: f64) -> bool {
+        self.grid.iter().any(|(cell, known)| {
+            known.class.is_edge() && pose.distance_m(&self.grid.centre(cell)) < radius_m
+        })
     }
 
     /// Takes the gap ahead, between the robot's own disc and the nearest ground that it can see, for

@@ -159,3 +159,18 @@ fn a_robot_set_down_on_a_board_or_a_ramp_finds_out_how_it_stands() {
         assert!(upright >= 3, "{upright} walls stand upright");
     }
 }
+
+#[test]
+fn a_robot_with_a_wheel_on_a_thick_board_knows_its_height_and_gets_off_it() {
+    let level = set_down_on("", 0.2, 90.0);
+    let board =
+        "[[box]]\nname = \"board\"\ncenter = [-1.3, 0.3, 0.025]\nsize = [0.35, 0.35, 0.05]\n";
+    let tilted = set_down_on(board, 0.2, 200.0);
+    let height_m =
+        |agent: &usar_agent::mission::Agent| agent.running().unwrap().rig().body.origin_height_m;
+    // Along its own z it looked into the floor's depth 2 m ahead: 0.54 m.
+    let off_m = height_m(&tilted) - height_m(&level);
+    assert!(off_m.abs() < 0.01, "{off_m} m off");
+    let path_m = tilted.running().unwrap().belief().path_m();
+    assert!(path_m > 2.0, "{path_m} m driven");
+}
