@@ -15,6 +15,8 @@ const TOLERANCE_RAD: f64 = 0.009;
 /// Patches below this area tell no direction well, in m²; of the others no more than the greatest are asked.
 const LEAST_M2: f64 = 0.3;
 const ASKED: usize = 32;
+/// A floor that tells alone how the robot stands, in m².
+const LEAST_FLOOR_M2: f64 = 2.0;
 /// Two walls cross at an angle of at least this sine.
 const CROSSING: f64 = 0.35;
 /// Share of the area asked that agrees to the vertical, and the share of that at most which agrees to the
@@ -32,7 +34,9 @@ enum Says {
 /// The vertical in the frame of `observations`, the robot's, if they tell that it is not `assumed`.
 ///
 /// It is told where two walls that cross agree with each other and with a third surface, wall or floor, so that
-/// nothing is told of a ramp and the floor beside it; and where much less agrees to `assumed`.
+/// nothing is told of a ramp and the floor beside it; and where much less agrees to `assumed`. Where too few walls are
+/// in sight the floor tells it, if next to nothing lies level beside it: who stands level before a ramp sees the
+/// ground that he stands on.
 pub fn upright(
     observations: &[Observation],
     assumed: &Unit<Vector3<f64>>,
@@ -45,14 +49,28 @@ pub fn upright(
     asked.sort_by(|a, b| b.1.total_cmp(&a.1));
     asked.truncate(ASKED);
     let area_m2: f64 = asked.iter().map(|(_, area_m2)| area_m2).sum();
-    let best =
-        candidates(&asked).max_by(|a, b| agreed_m2(&asked, a).total_cmp(&agreed_m2(&asked, b)))?;
-    let up = refined(&asked, &refined(&asked, &best));
-    let by_up_m2 = agreed_m2(&asked, &up);
-    let is_told = is_fixed(&asked, &up)
-        && by_up_m2 >= AGREED * area_m2
-        && agreed_m2(&asked, assumed) <= BEFORE * by_up_m2;
-    is_told.then_some(up)
+    let is_told = |up: &Unit<Vector3<f64>>| {
+        let by_up_m2 = agreed_m2(&asked, up);
+        by_up_m2 >= AGREED * area_m2 && agreed_m2(&asked, assumed) <= BEFORE * by_up_m2
+    };
+    let by_walls =
+        candidates(&asked).max_by(|a, b| agreed_m2(&asked, a).total_cmp(&agreed_m2(&asked, b)));
+    let best = by_walls
+        .map(|best| refined(&asked, &refined(&asked, &best)))
+        .filter(|up| is_fixed(&asked, up) && is_told(up));
+    best.or_else(|| {
+        let floor = refined(&asked, &floor(&asked)?);
+        let lies = |(normal, _): &(Vector3<f64>, f64)| says(normal, assumed) == Some(Says::Level);
+        (is_told(&floor) && !asked.iter().any(lies)).then_some(floor)
+    })
+}
+
+/// The normal of the greatest surface that may be a floor, seen from above by a robot that stands on it.
+fn floor(asked: &[(Vector3<f64>, f64)]) -> Option<Unit<Vector3<f64>>> {
+    let may_be = |(normal, area_m2): &&(Vector3<f64>, f64)| {
+        normal.z >= STEEPEST_RAD.cos() && *area_m2 >= LEAST_FLOOR_M2
+    };
+    asked.iter().find(may_be).map(|(normal, _)| Unit::new_normalize(*normal))
 }
 
 /// The directions at right angles to two walls, as far as a robot may stand so.
@@ -180,11 +198,24 @@ mod tests {
         let lean = seen([0.98, 0.0, 0.2], 3.0, [0.0; 2]);
         let aslant = seen([0.0, 0.98, 0.2], 3.0, [0.0; 2]);
         assert_eq!(told(&[lean, aslant]), None);
-        // One wall and a floor.
+        // One wall and a ramp beside it that it goes along with.
+        let ramp = seen([0.26, 0.0, 0.966], 3.0, [0.0; 2]);
+        let wall = seen([0.0, 1.0, 0.0], 3.0, [0.0; 2]);
+        let ground = seen([0.0, 0.0, 1.0], 0.6, [0.0; 2]);
+        assert_eq!(told(&[ramp, wall, ground]), None);
+    }
+
+    #[test]
+    fn a_floor_tells_it_where_there_are_too_few_walls() {
         let tilt_rad = [0.1, 0.1];
-        assert_eq!(
-            told(&[seen([1.0, 0.0, 0.0], 3.0, tilt_rad), seen([0.0, 0.0, 1.0], 3.0, tilt_rad)]),
-            None
-        );
+        let floor = || seen([0.0, 0.0, 1.0], 3.0, tilt_rad);
+        let wall = || seen([1.0, 0.0, 0.0], 3.0, tilt_rad);
+        let stands = UnitQuaternion::from_euler_angles(tilt_rad[0], tilt_rad[1], 0.0);
+        for seen in [vec![floor()], vec![floor(), wall()]] {
+            let up = upright(&seen, &Vector3::z_axis()).unwrap();
+            assert!((stands * up).angle(&Vector3::z()) < 1e-6);
+        }
+        // A ceiling alone does not.
+        assert_eq!(upright(&[seen([0.0, 0.0, -1.0], 3.0, tilt_rad)], &Vector3::z_axis()), None);
     }
 }
