@@ -3,7 +3,8 @@
 
 usage: map_size.py USAR RUN...
 RUN is a run folder. Counted are: planes, cylinders and spheres of surfaces.json with the vertices of their hulls,
-at four bytes a number (a plane: normal, offset and vertices in the plane; a cylinder 7 numbers, a sphere 4); the
+at four bytes a number (a plane: normal, offset and vertices in the plane; a cylinder 7 numbers, a sphere 4), and the
+rectangles of their masks, two bytes for each of their four edges, in cells; the
 points of the sweeps, twelve bytes each, and those of all lines that are in the map thinned to 5 cm; an octree of the thinned points
 with leaves of 5 cm, written as OctoMap writes its binary files, two bits for each child of an inner node. Needs
 numpy."""
@@ -33,14 +34,15 @@ def main():
     if len(sys.argv) < 3:
         sys.exit(__doc__)
     usar = sys.argv[1]
-    print("| Mission | Map: surfaces, vertices, kB | Points of the sweeps, MB | Thinned to 5 cm, kB | Octree: leaves, kB |")
-    print("|---|---|---|---|---|")
+    print("| Mission | Map: surfaces, vertices, kB | With masks: rectangles, kB | Points of the sweeps, MB | Thinned to 5 cm, kB | Octree: leaves, kB |")
+    print("|---|---|---|---|---|---|")
     for run in sys.argv[2:]:
         surfaces = json.load(open(f"{run}/surfaces.json"))["surfaces"]
         planes = [surface for surface in surfaces if surface["kind"] == "plane"]
         vertices = sum(len(plane["hull"]) for plane in planes)
         numbers = 4 * len(planes) + 2 * vertices + sum(
             {"cylinder": 7, "sphere": 4}.get(surface["kind"], 0) for surface in surfaces)
+        rectangles = sum(len(plane["mask"]) for plane in planes)
         with tempfile.TemporaryDirectory() as work:
             subprocess.run([usar, "export", run, "--to", "scans", "-o", f"{work}/scans"],
                            check=True, stdout=subprocess.DEVNULL)
@@ -51,6 +53,7 @@ def main():
             thinned = points(f"{work}/all.pcd")
         leaves, inner = octree(thinned)
         print(f"| {os.path.basename(os.path.normpath(run))} | {len(surfaces)}, {vertices}, {4 * numbers / 1e3:.1f} "
+              f"| {rectangles}, {(4 * numbers + 8 * rectangles) / 1e3:.1f} "
               f"| {12 * raw / 1e6:.2f} | {12 * len(thinned) / 1e3:.0f} | {leaves}, {2 * inner / 1e3:.0f} |", flush=True)
 
 
