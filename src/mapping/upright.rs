@@ -19,6 +19,8 @@ const ASKED: usize = 32;
 const LEAST_FLOOR_M2: f64 = 2.0;
 /// Two walls cross at an angle of at least this sine.
 const CROSSING: f64 = 0.35;
+/// The rise of a normal up to which a surface may be a wall seen by a robot that stands tilted.
+const STEEP: f64 = 0.5;
 /// Share of the area asked that agrees to the vertical, and the share of that at most which agrees to the
 /// direction that was taken for up before.
 const AGREED: f64 = 0.6;
@@ -34,7 +36,8 @@ enum Says {
 /// The vertical in the frame of `observations`, the robot's, if they tell that it is not `assumed`.
 ///
 /// It is told where two walls that cross agree with each other and with a third surface, wall or floor, so that
-/// nothing is told of a ramp and the floor beside it; and where much less agrees to `assumed`. Where too few walls are
+/// nothing is told of a ramp and the floor beside it; and where much less agrees to `assumed`. Of a slope that the robot
+/// stands on three walls tell. Where too few walls are
 /// in sight the floor tells it, if next to nothing lies level beside it: who stands level before a ramp sees the
 /// ground that he stands on.
 pub fn upright(
@@ -48,20 +51,27 @@ pub fn upright(
         .collect();
     asked.sort_by(|a, b| b.1.total_cmp(&a.1));
     asked.truncate(ASKED);
-    let area_m2: f64 = asked.iter().map(|(_, area_m2)| area_m2).sum();
-    let is_told = |up: &Unit<Vector3<f64>>| {
-        let by_up_m2 = agreed_m2(&asked, up);
-        by_up_m2 >= AGREED * area_m2 && agreed_m2(&asked, assumed) <= BEFORE * by_up_m2
+    let tell = |asked: &[(Vector3<f64>, f64)], up: &Unit<Vector3<f64>>| {
+        let area_m2: f64 = asked.iter().map(|(_, area_m2)| area_m2).sum();
+        let by_up_m2 = agreed_m2(asked, up);
+        by_up_m2 >= AGREED * area_m2 && agreed_m2(asked, assumed) <= BEFORE * by_up_m2
+    };
+    // The ground lies along a robot that stands on a slope: of that only the walls know.
+    let steep: Vec<(Vector3<f64>, f64)> =
+        asked.iter().filter(|(normal, _)| normal.z.abs() < STEEP).copied().collect();
+    let walls_tell = |up: &Unit<Vector3<f64>>| {
+        let walls = steep.iter().filter(|(normal, _)| says(normal, up) == Some(Says::Upright));
+        walls.count() > 2 && tell(&steep, up)
     };
     let by_walls =
         candidates(&asked).max_by(|a, b| agreed_m2(&asked, a).total_cmp(&agreed_m2(&asked, b)));
     let best = by_walls
         .map(|best| refined(&asked, &refined(&asked, &best)))
-        .filter(|up| is_fixed(&asked, up) && is_told(up));
+        .filter(|up| is_fixed(&asked, up) && (tell(&asked, up) || walls_tell(up)));
     best.or_else(|| {
         let floor = refined(&asked, &floor(&asked)?);
         let lies = |(normal, _): &(Vector3<f64>, f64)| says(normal, assumed) == Some(Says::Level);
-        (is_told(&floor) && !asked.iter().any(lies)).then_some(floor)
+        (tell(&asked, &floor) && !asked.iter().any(lies)).then_some(floor)
     })
 }
 
@@ -203,6 +213,19 @@ mod tests {
         let wall = seen([0.0, 1.0, 0.0], 3.0, [0.0; 2]);
         let ground = seen([0.0, 0.0, 1.0], 0.6, [0.0; 2]);
         assert_eq!(told(&[ramp, wall, ground]), None);
+    }
+
+    #[test]
+    fn walls_tell_it_where_the_robot_stands_on_a_slope() {
+        // Four walls, and the slope along which the robot stands is more than all of them.
+        let tilt_rad = [0.0, 0.12];
+        let mut seen_now: Vec<Observation> = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
+            .map(|[x, y]| seen([x, y, 0.0], 2.0, tilt_rad))
+            .into();
+        seen_now.push(seen([0.0, 0.0, 1.0], 6.0, [0.0; 2]));
+        let up = upright(&seen_now, &Vector3::z_axis()).unwrap();
+        let stands = UnitQuaternion::from_euler_angles(tilt_rad[0], tilt_rad[1], 0.0);
+        assert!((stands * up).angle(&Vector3::z()) < 1e-6);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Sweeps: the head is served, and what a finished sweep tells enters the belief.
 
-use super::floor::{floor_below_m, height_on_level_m};
+use super::floor::{Stand, stands_at_m};
 use super::pilot::Pilot;
 use super::running::{Activity, Desk, Look, Running, explorer, shape_of};
 use crate::acquisition::{HeadAction, HeadEvent, Profile, Reach, Scan};
@@ -118,9 +118,9 @@ impl Running {
     fn measure_floor(&mut self, scan: &Scan, desk: &mut Desk<'_>) {
         let guess_m = self.shape.base_above_floor_m;
         let up = self.belief.up_as_seen(&scan.image);
-        let depth_m = floor_below_m(&scan.image, &up);
         let contacts = self.shape.contacts();
-        let measured_m = depth_m.map(|depth_m| height_on_level_m(depth_m, &up, &contacts));
+        let stand = Stand { up, supposed_m: guess_m, contacts: &contacts };
+        let measured_m = stands_at_m(&scan.image, &stand);
         if let Some(height_m) = measured_m.filter(|height_m| (height_m - guess_m).abs() >= 0.01) {
             self.stand_at(height_m, desk);
         }
