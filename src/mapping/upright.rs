@@ -19,6 +19,8 @@ const ASKED: usize = 32;
 const LEAST_FLOOR_M2: f64 = 2.0;
 /// Two walls cross at an angle of at least this sine.
 const CROSSING: f64 = 0.35;
+/// Surfaces that only the vertical explains, where the slope under the robot is the greatest of all.
+const ACROSS: usize = 3;
 /// The rise of a normal up to which a surface may be a wall seen by a robot that stands tilted.
 const STEEP: f64 = 0.5;
 /// Share of the area asked that agrees to the vertical, and the share of that at most which agrees to the
@@ -67,12 +69,36 @@ pub fn upright(
         candidates(&asked).max_by(|a, b| agreed_m2(&asked, a).total_cmp(&agreed_m2(&asked, b)));
     let best = by_walls
         .map(|best| refined(&asked, &refined(&asked, &best)))
-        .filter(|up| is_fixed(&asked, up) && (tell(&asked, up) || walls_tell(up)));
+        .filter(|up| is_fixed(&asked, up))
+        .filter(|up| tell(&asked, up) || walls_tell(up) || stands_across(&asked, up, assumed));
     best.or_else(|| {
         let floor = refined(&asked, &floor(&asked)?);
         let lies = |(normal, _): &(Vector3<f64>, f64)| says(normal, assumed) == Some(Says::Level);
         (tell(&asked, &floor) && !asked.iter().any(lies)).then_some(floor)
     })
+}
+
+/// Whether a robot stands on a slope whose walls are in sight hardly or along it: what agrees to both directions says
+/// nothing, and that the ground lies along the robot it would at any slope. What is left must be several surfaces, a
+/// wall among them, none of them a wall that stands as was assumed.
+fn stands_across(
+    asked: &[(Vector3<f64>, f64)],
+    up: &Unit<Vector3<f64>>,
+    assumed: &Unit<Vector3<f64>>,
+) -> bool {
+    let only = |by: &Unit<Vector3<f64>>, other: &Unit<Vector3<f64>>| {
+        let agreeing = asked.iter().filter(|(normal, _)| says(normal, other).is_none());
+        let agreeing = agreeing.filter_map(|(normal, area_m2)| Some((says(normal, by)?, *area_m2)));
+        agreeing.collect::<Vec<_>>()
+    };
+    let (by_up, by_assumed) = (only(up, assumed), only(assumed, up));
+    let area_m2 =
+        |surfaces: &[(Says, f64)]| surfaces.iter().map(|(_, area_m2)| area_m2).sum::<f64>();
+    let walls = |surfaces: &[(Says, f64)]| surfaces.iter().any(|(says, _)| *says == Says::Upright);
+    by_up.len() >= ACROSS
+        && walls(&by_up)
+        && !walls(&by_assumed)
+        && area_m2(&by_up) >= area_m2(&by_assumed)
 }
 
 /// The normal of the greatest surface that may be a floor, seen from above by a robot that stands on it.
@@ -226,6 +252,31 @@ mod tests {
         let up = upright(&seen_now, &Vector3::z_axis()).unwrap();
         let stands = UnitQuaternion::from_euler_angles(tilt_rad[0], tilt_rad[1], 0.0);
         assert!((stands * up).angle(&Vector3::z()) < 1e-6);
+    }
+
+    #[test]
+    fn a_robot_that_stands_across_a_slope_is_told_from_one_before_a_ramp() {
+        let tilt_rad = [0.12, 0.0];
+        // The wall ahead stands upright either way; level ground to both sides of the slope, and a bit of a wall.
+        let across = [
+            seen([-1.0, 0.0, 0.0], 5.0, tilt_rad),
+            seen([0.0, 0.0, 1.0], 2.7, [0.0; 2]),
+            seen([0.0, 0.0, 1.0], 2.5, tilt_rad),
+            seen([0.0, 0.0, 1.0], 1.7, tilt_rad),
+            seen([0.0, -1.0, 0.0], 1.0, tilt_rad),
+        ];
+        let up = upright(&across, &Vector3::z_axis()).unwrap();
+        let stands = UnitQuaternion::from_euler_angles(tilt_rad[0], tilt_rad[1], 0.0);
+        assert!((stands * up).angle(&Vector3::z()) < 1e-6);
+        // A crate on a ramp, beside the wall along it.
+        let before = [
+            seen([0.0, 1.0, 0.0], 5.0, [0.0; 2]),
+            seen([0.0, 0.0, 1.0], 3.0, [0.0; 2]),
+            seen([0.0, 0.0, 1.0], 2.0, [0.0, 0.2]),
+            seen([-1.0, 0.0, 0.0], 0.8, [0.0, 0.2]),
+            seen([0.0, 0.0, 1.0], 0.6, [0.0, 0.2]),
+        ];
+        assert_eq!(upright(&before, &Vector3::z_axis()), None);
     }
 
     #[test]
