@@ -33,8 +33,8 @@ use std::time::Instant;
 #[command(after_help = "Examples:\n  usar map scan_*.pcd --odometry odometry.tum --out run/\n  \
                   usar map run/ --mode mip --out mip/")]
 pub struct MapArguments {
-    /// Organised scans in order: PCD 0.7 with HEIGHT > 1, points in the sensor's frame. Or one run folder or
-    /// session, whose scans, way and truth are taken
+    /// Organised scans in order: PCD 0.7 with HEIGHT > 1, points in the sensor's frame. Or one session, whose scans
+    /// and way are taken, or run folder, whose truth is taken, too
     #[arg(required = true)]
     scans: Vec<PathBuf>,
     /// Odometry poses of the sensor, one TUM line a scan; without it each scan is sought within about a
@@ -90,6 +90,11 @@ struct Step {
 /// written.
 pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
     say::log("warn");
+    if let Some(folder) =
+        arguments.out.as_deref().filter(|folder| folder.join("session.usar").exists())
+    {
+        bail!("{} holds a recording: its map stays, give another folder", folder.display());
+    }
     let Input { scans, odometry, truth, loss } = Input::of(arguments)?;
     let mode = match arguments.mode {
         ModeArgument::Full => Mode::Full,
@@ -143,6 +148,10 @@ pub fn run(arguments: &MapArguments) -> Result<ExitCode> {
         let time_s = odometry.as_ref().map_or(k as f64, |poses| poses[k].time_s);
         let planes = scan.observations.len();
         steps.push(Step { time_s, planes, viewpoint, report, segment_ms, map_ms });
+    }
+    let blank = steps.iter().filter(|step| step.planes == 0).count();
+    if blank > 0 {
+        say::warn(format_args!("{blank} of {} scans show no plane", steps.len()));
     }
     let score = truth.as_ref().map(|truth| Score::new(&mapper, truth));
     let document = document(&mapper, &steps, score.as_ref());
@@ -411,6 +420,14 @@ fn write_outputs(
             .map(|(of, step)| TimedPose { time_s: step.time_s, ..*of })
             .collect();
         write("truth.tum", tum::format(&truth).as_bytes())?;
+    } else {
+        // That of an earlier map is none of this one.
+        match std::fs::remove_file(folder.join("truth.tum")) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(error).context(format!("cannot remove {}/truth.tum", folder.display()));
+            }
+            _ => {}
+        }
     }
     write("planes.ply", ply::format(&surface_polygons(mapper)).as_bytes())?;
     let surfaces = json!({ "surfaces": surfaces_json(mapper) });

@@ -14,6 +14,9 @@ use nalgebra::Isometry3;
 use std::io::Read as _;
 use std::path::Path;
 
+/// How long after the end of the truth a scan may be, in seconds.
+const MOST_BEYOND_S: f64 = 1.0;
+
 /// The scans of a session with the poses of the sensor by dead reckoning alone.
 #[derive(Default)]
 pub struct Series {
@@ -23,7 +26,7 @@ pub struct Series {
     pub way: Vec<TimedPose>,
     /// Where the sensor truly was, if the run's folder says where the robot was: for scoring only.
     pub truth: Option<Vec<TimedPose>>,
-    /// Whether the session is not whole.
+    /// Whether the session is not whole, or was replayed otherwise than it went.
     pub loss: bool,
     robot_from_scan: Vec<Isometry3<f64>>,
     /// The robot by dead reckoning at the last scan, and where the map put it after that.
@@ -89,6 +92,14 @@ impl Series {
         let text = std::fs::read_to_string(&file)
             .with_context(|| format!("cannot read {}", file.display()))?;
         let truth = tum::parse(&text).with_context(|| format!("cannot read {}", file.display()))?;
+        let ends_s = truth.last().map_or(f64::NEG_INFINITY, |timed| timed.time_s);
+        if self.way.last().is_some_and(|last| last.time_s > ends_s + MOST_BEYOND_S) {
+            say::warn(format_args!(
+                "{} ends at {ends_s:.1} s, before the last scan: not scored",
+                file.display()
+            ));
+            return Ok(None);
+        }
         let sensors = self.way.iter().zip(&self.robot_from_scan);
         Ok(sensors
             .map(|(timed, robot_from_scan)| {
@@ -105,7 +116,7 @@ pub struct Replayed {
     pub agent: Agent,
     /// The session's name.
     pub name: String,
-    /// Whether the session is not whole.
+    /// Whether the session is not whole, or was replayed otherwise than it went.
     pub loss: bool,
 }
 
@@ -115,7 +126,7 @@ pub struct Replayed {
 ///
 /// A session that cannot be read or replayed.
 pub fn watched(run: &Path, mut watch: impl FnMut(&Agent)) -> Result<Replayed> {
-    let Session { recording, agent, name, .. } = session::open(run, None, false, &[])?;
+    let Session { recording, agent, name, own } = session::open(run, None, false, &[])?;
     if let Some(loss) = &recording.loss {
         say::warn(format_args!("the recording is not whole: {loss}"));
     }
@@ -123,6 +134,14 @@ pub fn watched(run: &Path, mut watch: impl FnMut(&Agent)) -> Result<Replayed> {
     while replay.step().context("the recording holds an unreadable operator event")? {
         watch(replay.agent());
     }
-    let loss = recording.loss.is_some();
-    Ok(Replayed { agent: replay.finish().0, name, loss })
+    let (agent, _, difference) = replay.finish();
+    let mut loss = recording.loss.is_some();
+    // Text that others printed holds no actions of ours.
+    if let Some(difference) = difference.filter(|_| own) {
+        say::warn(format_args!(
+            "this program decides otherwise than the one that recorded: {difference}; sweeps from there on may be lost"
+        ));
+        loss = true;
+    }
+    Ok(Replayed { agent, name, loss })
 }

@@ -103,6 +103,9 @@ pub fn read_session(path: &Path) -> Result<(Vec<u8>, PathBuf)> {
         return Ok((bytes, PathBuf::from("stdin")));
     }
     let file = if path.is_dir() { path.join("session.usar") } else { path.to_owned() };
+    if path.is_dir() && !file.exists() {
+        bail!("{} is no run folder: there is no session.usar in it", path.display());
+    }
     let bytes = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
     Ok((bytes, file))
 }

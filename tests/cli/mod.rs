@@ -239,6 +239,11 @@ fn a_run_is_recorded_verified_scored_and_exported() {
     assert!(number(&score["ate"]["final_m"]) < 0.05, "{score}");
     assert_eq!(usar(&["map", text(&cut)]).status.code(), Some(3));
     fails_with(&["map", text(&one), text(&scans[0])], &["is a session: it is mapped alone"]);
+    fails_with(&["map", text(&one), "--out", text(&two)], &["holds a recording"]);
+    fails_with(&["map", text(&folder_s)], &["no run folder"]);
+    // What an earlier map was scored by says nothing of another.
+    let unscored = usar(&["map", text(&scans[0]), "--out", text(&direct)]);
+    assert!(unscored.status.success() && !direct.join("truth.tum").exists());
 
     let info = usar(&["info", text(&session), "--format", "json"]);
     let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
