@@ -9,7 +9,7 @@ use super::config::AgentConfig;
 use crate::acquisition::{GuardConfig, GuardTilt, ParkState, guard_tilt};
 use crate::navigation::{
     Blocked, DriveCommand, FollowConfig, FollowStatus, Follower, Footprint, Guard, GuardVerdict,
-    Motion, Path, Pose2, Recovery, RecoveryStep, StuckDetector, Swath, Trail, Trouble,
+    Motion, Path, Pose2, Recovery, RecoveryStep, Rung, StuckDetector, Swath, Trail, Trouble,
 };
 use crate::robot::Rig;
 use crate::scan::LaserLine;
@@ -56,10 +56,15 @@ pub struct Pilot {
     trail: Trail,
     swath: Swath,
     stuck: StuckDetector,
+    /// Where the robot last got out of trouble, and how.
+    got_out: Option<(Pose2, Rung)>,
     slow_mps: f64,
     guard_age: Span,
     late_s: f64,
 }
+
+/// A robot in trouble so near to where it got out of some is in the same, in metres.
+const BACK_AGAIN_M: f64 = 0.5;
 
 /// What the guard line last said.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -86,6 +91,7 @@ impl Pilot {
             guard_tilt,
             watch: Watch::default(),
             trail: Trail::default(),
+            got_out: None,
             swath: Swath::default(),
             stuck: StuckDetector::new(config.stuck.clone()),
             slow_mps: follow.slow_mps,
@@ -316,18 +322,27 @@ impl Pilot {
     ) -> Recovery {
         self.stuck.reset();
         let edge_margin_m = config.belief.terrain.edge_margin_m;
-        Recovery::new(config.recovery.clone(), &self.shape, edge_margin_m, trouble, now, pose)
+        let (ladder, shape) = (config.recovery.clone(), &self.shape);
+        let recovery = Recovery::new(ladder, shape, edge_margin_m, trouble, now, pose);
+        match self.got_out.take() {
+            Some((at, rung)) if at.distance_m(&pose.point()) < BACK_AGAIN_M => recovery.after(rung),
+            _ => recovery,
+        }
     }
 
     /// One cycle of getting out of trouble.
     pub fn recovery_step(
-        &self,
+        &mut self,
         recovery: &mut Recovery,
         pose: &Pose2,
         grid: &Grid,
         now: Arrival,
     ) -> RecoveryStep {
-        recovery.step(now, pose, &self.trail, grid)
+        let step = recovery.step(now, pose, &self.trail, grid);
+        if step == RecoveryStep::Recovered {
+            self.got_out = Some((*pose, recovery.rung()));
+        }
+        step
     }
 }
 

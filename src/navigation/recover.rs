@@ -68,6 +68,20 @@ pub enum Rung {
     EaseBack,
 }
 
+impl Rung {
+    fn next(self) -> Option<Self> {
+        Some(match self {
+            Self::Pause => Self::BackOut,
+            Self::BackOut => Self::TurnLeft,
+            Self::TurnLeft => Self::TurnRight,
+            Self::TurnRight => Self::EaseAhead,
+            Self::EaseAhead => Self::BackFarther,
+            Self::BackFarther => Self::EaseBack,
+            Self::EaseBack => return None,
+        })
+    }
+}
+
 /// What to do now.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum RecoveryStep {
@@ -108,6 +122,13 @@ impl Recovery {
             since: now,
             from: *pose,
         }
+    }
+
+    /// The same for a robot that got out by `last` and is back: what did not lead away is not tried first again.
+    #[must_use]
+    pub fn after(self, last: Rung) -> Self {
+        let rung = if self.leaning { self.rung } else { last.next().unwrap_or(Rung::Pause) };
+        Self { rung, ..self }
     }
 
     /// The rung being tried.
@@ -185,15 +206,8 @@ impl Recovery {
             match command {
                 Some(command) => return RecoveryStep::Try(self.rung, command),
                 None => {
-                    self.rung = match self.rung {
-                        Rung::Pause => Rung::BackOut,
-                        Rung::BackOut => Rung::TurnLeft,
-                        Rung::TurnLeft => Rung::TurnRight,
-                        Rung::TurnRight => Rung::EaseAhead,
-                        Rung::EaseAhead => Rung::BackFarther,
-                        Rung::BackFarther => Rung::EaseBack,
-                        Rung::EaseBack => return RecoveryStep::GaveUp,
-                    };
+                    let Some(next) = self.rung.next() else { return RecoveryStep::GaveUp };
+                    self.rung = next;
                     self.since = now;
                     self.from = *pose;
                 }
@@ -295,6 +309,21 @@ mod tests {
         assert_eq!(end, RecoveryStep::GaveUp);
         assert_eq!(rungs.len(), 7, "every rung was tried: {rungs:?}");
         assert!(seconds < 56.0);
+    }
+
+    #[test]
+    fn what_did_not_lead_away_is_not_tried_first_again() {
+        let pose = Pose2 { x_m: 1.95, y_m: 0.0, yaw_rad: 0.0 };
+        let after = |last: Rung, trouble: &Trouble| {
+            let (config, shape) = (RecoveryConfig::default(), RobotShape::default());
+            Recovery::new(config, &shape, 0.15, trouble, Arrival(0), &pose).after(last).rung()
+        };
+        assert_eq!(after(Rung::BackOut, &STUCK), Rung::TurnLeft);
+        assert_eq!(after(Rung::TurnRight, &STUCK), Rung::EaseAhead);
+        assert_eq!(after(Rung::EaseBack, &STUCK), Rung::Pause);
+        // A leaning robot only backs out.
+        let leaning = Trouble::Tilted { roll_rad: 0.5, pitch_rad: 0.0 };
+        assert_eq!(after(Rung::BackOut, &leaning), Rung::Pause);
     }
 
     #[test]
