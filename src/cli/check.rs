@@ -2,6 +2,7 @@
 
 use super::files::write_stdout;
 use super::say;
+use super::session::DONE_WITH_LOSS;
 use crate::driver::host::Host;
 use crate::driver::lockstep::Lockstep;
 use crate::files::kind::{Verdict, check};
@@ -15,9 +16,6 @@ use clap::Args;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-
-/// A recording that is good as far as it goes.
-const DONE_WITH_LOSS: u8 = 3;
 
 /// Simulated time within which a robot of the stand-in is in service.
 const OPEN_WITHIN_S: f64 = 30.0;

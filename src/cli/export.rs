@@ -3,6 +3,7 @@
 use super::files::write_stdout;
 use super::say;
 use super::series::{Replayed, Series, watched};
+use super::session::DONE_WITH_LOSS;
 use crate::export::cloud;
 use crate::export::run_folder::{Files, map_files};
 use crate::export::tum;
@@ -17,9 +18,6 @@ use std::process::ExitCode;
 
 /// The command line names something that cannot be.
 const MISUSE: u8 = 2;
-
-/// The recording was cut or damaged, and what could be read of it was exported.
-const DONE_WITH_LOSS: u8 = 3;
 
 /// Side of the cubes that an exported cloud is thinned to, in metres.
 const CLOUD_CELL_M: f64 = 0.05;

@@ -5,6 +5,7 @@ mod grid;
 use super::files::{Format, Scan, median, read_scan, write_stdout};
 use super::say;
 use super::series::{Series, is_session};
+use super::session::DONE_WITH_LOSS;
 use crate::exploration::Walls;
 use crate::export::keyframes::keyframes_at;
 use crate::export::landmarks::{rows, surface_polygons, surfaces_json};
@@ -67,9 +68,6 @@ enum ModeArgument {
     /// The paper's Maximum Incremental Probability filter
     Mip,
 }
-
-/// The session was cut or damaged, and what could be read of it was mapped.
-const DONE_WITH_LOSS: u8 = 3;
 
 /// What one scan came to.
 struct Step {

@@ -4,7 +4,7 @@ use super::files::{warn_of_no_console, write_stdout};
 use super::mission::summary;
 use super::out::RunFolder;
 use super::say;
-use super::session::{self, Session};
+use super::session::{self, DONE_WITH_LOSS, Session};
 use crate::driver::replay::{Difference, Replay};
 use crate::driver::results::results;
 use crate::driver::simulated::MissionResult;
@@ -17,9 +17,6 @@ use clap::Args;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
-
-/// A recording that was cut or damaged was used as far as it goes.
-const DONE_WITH_LOSS: u8 = 3;
 
 /// Arguments of `usar replay`.
 #[derive(Debug, Args)]

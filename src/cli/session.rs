@@ -9,6 +9,9 @@ use crate::record::{Header, MAGIC, Recording, read};
 use anyhow::{Context, Result, bail};
 use std::path::{Path, PathBuf};
 
+/// Exit code: a recording that was cut, damaged or replayed otherwise than it went was used as far as it goes.
+pub const DONE_WITH_LOSS: u8 = 3;
+
 /// A session ready to be replayed.
 pub struct Session {
     /// Its entries.

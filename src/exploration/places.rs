@@ -69,8 +69,8 @@ impl Default for Places {
 }
 
 impl Places {
-    /// The places of a grid between walls; rooms that share most ground with one of `self` keep its identity, doorways that
-    /// are where one was theirs.
+    /// The places of a grid between walls; rooms that share most ground with one of `self` keep its identity,
+    /// doorways that are where one was theirs.
     pub fn renewed(&self, grid: &Grid, walls: &Walls) -> Self {
         let ground = Ground::of(grid, walls);
         let labels = ground.flood();

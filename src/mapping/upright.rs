@@ -38,10 +38,10 @@ enum Says {
 /// The vertical in the frame of `observations`, the robot's, if they tell that it is not `assumed`.
 ///
 /// It is told where two walls that cross agree with each other and with a third surface, wall or floor, so that
-/// nothing is told of a ramp and the floor beside it; and where much less agrees to `assumed`. Of a slope that the robot
-/// stands on three walls tell. Where too few walls are
-/// in sight the floor tells it, if next to nothing lies level beside it: who stands level before a ramp sees the
-/// ground that he stands on.
+/// nothing is told of a ramp and the floor beside it; and where much less agrees to `assumed`. Of a slope that the
+/// robot stands on three walls tell, or several surfaces that only the vertical explains. Where too few walls are in
+/// sight the floor tells it, if nothing lies level beside it: who stands level before a ramp sees the ground that he
+/// stands on.
 pub fn upright(
     observations: &[Observation],
     assumed: &Unit<Vector3<f64>>,

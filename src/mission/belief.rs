@@ -387,7 +387,8 @@ impl Belief {
         ScanFindings { planes, spheres, cylinders, update, redrawn }
     }
 
-    /// The vertical in the robot's frame, as a sweep shows it, or as it was said to stand where that shows nothing else.
+    /// The vertical in the robot's frame, as a sweep shows it, or as the robot was said to stand where that shows
+    /// nothing else.
     pub(super) fn up_as_seen(&mut self, image: &RangeImage) -> Unit<Vector3<f64>> {
         let columns = self.segmented_columns(image.columns());
         let grid = image.point_grid(columns);

@@ -61,9 +61,9 @@ impl Running {
         !bridged_here && at_start && self.bridged.len() < MOST_BRIDGES
     }
 
-    /// Where the robot has come to stand beside its start, off what it was set down on, the ground that it turns over
-    /// is none that was assumed: it is taken for ground, too, if all about it is whole, or if its wheels stay on what was
-    /// assumed about the start and no edge is seen. Once for each such place.
+    /// Where the robot has come to stand beside its start, off what it was set down on, the ground that it turns
+    /// over is none that was assumed: it is taken for ground, too, if all about it is whole, or if its wheels stay
+    /// on what was assumed about the start and no edge is seen where it turns. Once for each such place.
     pub(super) fn assume_turning_room(&mut self, desk: &mut Desk<'_>) -> bool {
         let pose = self.pose2();
         let start = self.belief.start().translation.vector.xy().into();
@@ -84,8 +84,8 @@ impl Running {
         }
         self.turning_room = Some(pose);
         desk.warn(format!(
-            "the robot stands {beside_m:.2} m beside where it was set down, and no edge is seen about it, so it may turn \
-             here"
+            "the robot stands {beside_m:.2} m beside where it was set down, and no edge is seen within {turning_m:.2} m, \
+             so it may turn here"
         ));
         self.belief.assume_towards(0.0, turning_m, std::f64::consts::PI);
         self.refresh_grid(desk.now);

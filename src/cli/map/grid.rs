@@ -38,8 +38,8 @@ pub fn sensor_above_floor(landmarks: &[Landmark], sensors: &[Isometry3<f64>]) ->
 
 /// The grid on the level of the last scan, for a robot of the default shape that carries the sensor
 /// `above_m` over the floor. Where it stood there was ground: the disc that the sensor cannot see into
-/// is assumed. With it the rooms and doorways between these walls, which keep from scan to scan who they are: a map of the first scans
-/// alone has most of them under the same numbers.
+/// is assumed. With it the rooms and doorways between these walls, which keep from scan to scan who
+/// they are: a map of the first scans alone has most of them under the same numbers.
 pub fn grid(
     images: &[&RangeImage],
     sensors: &[Isometry3<f64>],
