@@ -4,6 +4,7 @@ use super::association::Assignment;
 use super::estimate::{Estimate, Prepared};
 use super::landmark::LandmarkId;
 use super::moved::{Gone, LOG_VANISHED, MOST_VANISHED};
+use super::observation::Observation;
 use super::perturbation::pose_error;
 use super::scan_errors::ScanObservations;
 use super::sight::Contradiction;
@@ -54,6 +55,8 @@ pub(super) struct Claim {
     pub(super) far: bool,
     /// Whether it has the robot carried there, against all odometry.
     pub(super) carried: bool,
+    /// Whether it has the robot where odometry led, but turned.
+    pub(super) turned: bool,
     /// See [`Estimate::left_out`].
     pub(super) left_out: Vec<(usize, LandmarkId)>,
     /// See [`Estimate::beside_pairs`].
@@ -73,6 +76,7 @@ pub(super) struct Judged {
     pub(super) misplaced: usize,
     pub(super) far: bool,
     pub(super) carried: bool,
+    pub(super) turned: bool,
     /// Landmarks that it recognises, those of a thing that it says has moved and shows elsewhere, and all that it
     /// says are not there any more.
     pub(super) known: Vec<LandmarkId>,
@@ -159,7 +163,7 @@ pub(super) fn weigh(
             let Some((other, without, all)) = likelier else { break };
             (against, best, support, gone) = (without, other, support + LOG_VANISHED, all);
         }
-        let Claim { prepared, assignment, far, carried, .. } = claim;
+        let Claim { prepared, assignment, far, carried, turned, .. } = claim;
         Judged {
             prepared,
             score: best,
@@ -168,6 +172,7 @@ pub(super) fn weigh(
             misplaced: against.misplaced,
             far,
             carried,
+            turned,
             known: assignment.pairs.iter().map(|pair| option.landmark_of(pair.1)).collect(),
             moved,
             gone,
@@ -208,11 +213,12 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
     }
     for option in &mut judged {
         // What lies far from the prediction needs more than a good fit: worlds repeat themselves. Which of
-        // several it is, its score tells, and the scans to come, once nothing near is left to keep to.
+        // several it is, its score tells, and the scans to come, once nothing near is left to keep to. That the
+        // same scan is seen from the same spot by chance, all turned, takes a world that looks alike from there.
         let proven = !option.far
             || ((far_places.len() == 1 || near_fails)
                 && option.refuted < TOLERATED_SHARE
-                && near_is_wrong(option.refuted)
+                && (option.turned || near_is_wrong(option.refuted))
                 && proven(&option.assignment, scan));
         if !proven {
             // Behind what is near, and behind one another as far as they were.
@@ -229,6 +235,7 @@ pub(super) fn judge(mut judged: Vec<Judged>, scan: &ScanObservations) -> Vec<Jud
             misplaced = option.misplaced,
             far = option.far,
             carried = option.carried,
+            turned = option.turned,
             proven,
             gone = option.gone.len(),
             "explanation of a scan"
@@ -256,11 +263,16 @@ pub(super) fn moves_far(a: &Isometry3<f64>, b: &Isometry3<f64>, far_m: f64, far_
     gap.fixed_rows::<3>(0).norm() > far_m || gap.fixed_rows::<3>(3).norm() > far_rad
 }
 
+/// Whether a plane rises, seen by the robot.
+pub(super) fn is_upright(seen: &Observation) -> bool {
+    seen.normal().z.abs() < LEVEL
+}
+
 /// Share of a scan's upright area that an assignment recognises: floors and ceilings look alike anywhere.
 pub(super) fn upright_share(assignment: &Assignment, scan: &ScanObservations) -> f64 {
     let upright_m2 = |observation: usize| {
         let seen = &scan.observations[observation];
-        if seen.normal().z.abs() < LEVEL { seen.area_m2() } else { 0.0 }
+        if is_upright(seen) { seen.area_m2() } else { 0.0 }
     };
     let recognised: f64 = assignment.pairs.iter().map(|pair| upright_m2(pair.0)).sum();
     let whole: f64 = (0..scan.observations.len()).map(upright_m2).sum();

@@ -6,12 +6,14 @@
 
 use super::association::{Assignment, AssociationConfig, Verdict};
 use super::claims::{
-    Claim, Judged, LOG_SELDOM, SAME_M, SAME_RAD, judge, moves_far, recognised_share, upright_share,
-    weigh,
+    Claim, Judged, LOG_SELDOM, SAME_M, SAME_RAD, is_upright, judge, moves_far, recognised_share,
+    upright_share, weigh,
 };
 use super::estimate::{Arrival, Estimate, Prepared};
 use super::moved::Gone;
+use super::observation::Observation;
 use super::odometry::unmeasured_motion;
+use crate::geometry::wrap_pi;
 use nalgebra::{Isometry3, Matrix6};
 
 /// How much worse than told odometry may be before the scan is no longer believed: the motion's
@@ -56,6 +58,9 @@ const SLACK: usize = 2;
 const FAR_M: (f64, f64) = (0.8, 1.25);
 const FAR_RAD: (f64, f64) = (0.35, 0.6);
 const FAR_SIGMAS: f64 = 3.5;
+
+/// Directions of walls that differ by less may be those of one building.
+const ALIKE_RAD: f64 = 0.1;
 
 /// One way to go on.
 pub(super) struct Way {
@@ -146,6 +151,7 @@ impl<'a> Fork<'a> {
             log_prior: LOG_UNRECOGNISED,
             far: false,
             carried: false,
+            turned: false,
             left_out: Vec::new(),
             beside_pairs: 0.0,
         };
@@ -174,6 +180,9 @@ impl<'a> Fork<'a> {
             elsewhere |= moved.iter().any(|found| stands_elsewhere(found, &guess));
             weighed.extend(moved);
         }
+        if doubts.of_place() && self.level_m() < MEASURED_M {
+            weighed.extend(self.turned(doubts.doubled(), &predicted));
+        }
         if !elsewhere && (doubts.lost || !stands) {
             let more = doubts.pairs + SLACK;
             let least = if is_denied { more.max(FEW_PAIRS + 1) } else { doubts.doubled() };
@@ -194,6 +203,7 @@ impl<'a> Fork<'a> {
             misplaced: 0,
             far: false,
             carried: false,
+            turned: false,
             known: Vec::new(),
             moved: Vec::new(),
             gone: Gone::default(),
@@ -306,6 +316,23 @@ impl<'a> Fork<'a> {
         self.weigh(claims)
     }
 
+    /// What fits where odometry led if the heading slipped, with so many pairs.
+    fn turned(&mut self, least: usize, predicted: &Isometry3<f64>) -> Vec<Judged> {
+        let mut claims = Vec::new();
+        for world_from_robot in self.estimate.turned(self.arrival, OPEN_M) {
+            if !moves_far(predicted, &world_from_robot, FAR_M.1, FAR_RAD.1) {
+                continue;
+            }
+            let there = self.estimate.prepare_at(self.arrival, self.config, &world_from_robot);
+            let there = self.claims(there, LOG_SLIPPED).into_iter();
+            let there = there.filter(|claim| claim.assignment.pairs.len() >= least);
+            let turned =
+                !may_turn_to_alike(&self.arrival.scan.observations, predicted, &world_from_robot);
+            claims.extend(there.map(|claim| Claim { far: true, turned, ..claim }));
+        }
+        self.weigh(claims)
+    }
+
     /// What fits in places that the robot must have been carried to, with so many pairs.
     fn carried(&mut self, least: usize, guess: &Isometry3<f64>) -> Vec<Judged> {
         let mut claims = Vec::new();
@@ -328,6 +355,7 @@ impl<'a> Fork<'a> {
             log_prior,
             far: found.shift_from(&prepared.belief).exceeds(far_m, far_m, far_rad),
             carried: false,
+            turned: false,
             left_out: estimate.left_out(arrival, config, &prepared, found),
             beside_pairs: estimate.beside_pairs(arrival, config, &prepared, found),
         };
@@ -353,6 +381,30 @@ impl<'a> Fork<'a> {
         let measured = self.level_m() < MEASURED_M;
         weigh(claims, self.estimate, self.prepared, self.arrival.scan, measured)
     }
+}
+
+/// Whether the walls of a scan, seen from one pose, run along or across those that it shows from another: one arm
+/// of a crossing is like the next, and a room like itself from its other side.
+fn may_turn_to_alike(
+    scan: &[Observation],
+    world_from_robot: &Isometry3<f64>,
+    other: &Isometry3<f64>,
+) -> bool {
+    // Four times its azimuth tells a wall's direction up to right angles.
+    let azimuth_rad = |seen: &Observation, pose: &Isometry3<f64>| {
+        let normal = pose * seen.normal();
+        normal.y.atan2(normal.x)
+    };
+    let upright = || scan.iter().filter(|seen| is_upright(seen));
+    let has_alike = |seen: &&Observation| {
+        let here_rad = azimuth_rad(seen, world_from_robot);
+        let aside_rad = |it: &Observation| wrap_pi(4.0 * (azimuth_rad(it, other) - here_rad)) / 4.0;
+        let alike = upright().filter(|it| aside_rad(it).abs() < ALIKE_RAD);
+        alike.map(Observation::area_m2).sum::<f64>() > 0.5 * seen.area_m2()
+    };
+    let area_m2: f64 = upright().map(Observation::area_m2).sum();
+    let alike_m2: f64 = upright().filter(has_alike).map(Observation::area_m2).sum();
+    alike_m2 > 0.5 * area_m2
 }
 
 fn is_large(found: &Assignment, prepared: &Prepared) -> bool {

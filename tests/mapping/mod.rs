@@ -13,4 +13,5 @@ mod recognition;
 mod shelves;
 mod situations;
 mod slips;
+mod turned;
 mod world;

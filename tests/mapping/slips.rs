@@ -48,10 +48,10 @@ fn corridor() -> World {
 }
 
 /// What a robot sees, and from where.
-type Seen = (ScanObservations, Isometry3<f64>);
+pub(super) type Seen = (ScanObservations, Isometry3<f64>);
 
 /// What a robot sees along a way, and its true poses.
-fn along(world: &World, way: &[(f64, f64, f64)]) -> Vec<Seen> {
+pub(super) fn along(world: &World, way: &[(f64, f64, f64)]) -> Vec<Seen> {
     let scanner = Scanner::paper();
     let mut segmenter = Segmenter::new(SegmentationConfig::default());
     let mut random = Random(7);
@@ -63,15 +63,20 @@ fn along(world: &World, way: &[(f64, f64, f64)]) -> Vec<Seen> {
     way.iter().map(&mut see).collect()
 }
 
+/// A slip over the ground.
+fn by([x, y]: [f64; 2]) -> Isometry3<f64> {
+    Isometry3::translation(x, y, 0.0)
+}
+
 /// How far off the end of a way is when wheels are right to a few millimetres but for a slip in one step.
-fn end_off_m(seen: &[Seen], at: usize, slip: [f64; 2]) -> f64 {
+pub(super) fn end_off_m(seen: &[Seen], at: usize, slip: &Isometry3<f64>) -> f64 {
     let mut rng = rng(at as u64);
     let mut mapper = Mapper::new(MapperConfig::default(), seen[0].1);
     mapper.observe(&seen[0].0);
     for (step, pair) in seen.windows(2).enumerate() {
-        let slipped = if step + 1 == at { slip } else { [0.0, 0.0] };
+        let slipped = if step + 1 == at { *slip } else { Isometry3::identity() };
         let mut stray = || 0.006 * (uniform(&mut rng) - 0.5);
-        let error = Translation3::new(slipped[0] + stray(), slipped[1] + stray(), 0.0);
+        let error = Translation3::new(stray(), stray(), 0.0) * slipped;
         mapper.predict(&(pair[0].1.inverse() * pair[1].1 * error), MotionSource::Wheels);
         mapper.observe(&pair[1].0);
     }
@@ -85,7 +90,7 @@ fn astray(seen: &[Seen], slip_m: f64) -> Vec<(usize, [f64; 2], f64)> {
     let directions = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
     let slips = directions.map(|way| way.map(|axis| slip_m * axis));
     let ways = (1..seen.len() - 1).flat_map(|at| slips.map(|slip| (at, slip)));
-    let ends = ways.map(|(at, slip)| (at, slip, end_off_m(seen, at, slip)));
+    let ends = ways.map(|(at, slip)| (at, slip, end_off_m(seen, at, &by(slip))));
     ends.filter(|end| end.2 > 0.05).collect()
 }
 
@@ -155,7 +160,7 @@ fn a_slip_beside_a_stair_is_found() {
     let seen = along(&world, &ahead.chain(turned).chain(aside).collect::<Vec<_>>());
     for at in 14..18 {
         for slip in [[0.28, 0.0], [-0.28, 0.0], [-0.6, 0.0], [0.0, 0.28]] {
-            let off_m = end_off_m(&seen, at, slip);
+            let off_m = end_off_m(&seen, at, &by(slip));
             assert!(off_m < 0.05, "{slip:?} at {at}: {off_m} m");
         }
     }
@@ -173,7 +178,7 @@ fn a_slip_along_an_aisle_of_equal_boxes_is_found() {
     let seen = along(&world, &way);
     for at in 3..7 {
         for slip_m in [-0.7, 0.4, 0.55] {
-            let off_m = end_off_m(&seen, at, [slip_m, 0.0]);
+            let off_m = end_off_m(&seen, at, &by([slip_m, 0.0]));
             assert!(off_m < 0.05, "{slip_m} m at {at}: {off_m} m");
         }
     }

@@ -13,7 +13,7 @@ use crate::mapping::odometry::predicted_covariance;
 use crate::mapping::perturbation::{first_jacobian, second_jacobian};
 use crate::mapping::recognise::recognise;
 use crate::mapping::scan_errors::{CommonColumns, ScanObservations, common_error_jacobian};
-use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix6, Point3, Vector2, Vector6};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Matrix6, Point3, Rotation2, Vector2, Vector6};
 
 /// Part of the widening of a motion over the ground that its height, roll and pitch are widened by:
 /// stuck wheels and pushes move a robot over the ground, they do not lift it off.
@@ -156,6 +156,25 @@ impl Estimate {
         let found = recognise(&arrival.scan.observations, landmarks, &predicted, |at, turn_rad| {
             let gap = at - predicted.translation.vector.xy();
             gap.norm() < within_m && turn_rad.abs() < within_rad
+        });
+        found.into_iter().map(|found| found.world_from_robot).collect()
+    }
+
+    /// The places where the scan fits the map if the heading alone slipped, by whatever angle, before the way that
+    /// odometry tells of or after it: within `within_m` of where that led.
+    pub(in crate::mapping) fn turned(
+        &self,
+        arrival: &Arrival<'_>,
+        within_m: f64,
+    ) -> Vec<Isometry3<f64>> {
+        let before = self.last_pose();
+        let predicted = before * arrival.motion;
+        let (from, after) = (before.translation.vector.xy(), predicted.translation.vector.xy());
+        let margin_m = 2.0 * (after - from).norm() + within_m;
+        let landmarks = self.landmarks_within(arrival, &predicted, margin_m, std::f64::consts::PI);
+        let found = recognise(&arrival.scan.observations, landmarks, &predicted, |at, turn_rad| {
+            let turned_first = from + Rotation2::new(turn_rad) * (after - from);
+            (at - after).norm() < within_m || (at - turned_first).norm() < within_m
         });
         found.into_iter().map(|found| found.world_from_robot).collect()
     }
