@@ -30,7 +30,7 @@ pub use surface::{Seen, Surface, Void};
 use crate::scan::{ImageRow, LaserLine, RangeImage, Return};
 use fan::{Fan, FloorPlane, Sample};
 use lattice::Lattice;
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
 use rays::RayWindow;
 use serde::{Deserialize, Serialize};
 use surface::Observation;
@@ -87,8 +87,18 @@ impl Terrain {
     /// never sees it. The ground is marked [`Seen::Assumed`] until it is measured, and does not
     /// count as explored.
     pub fn assume(&mut self, world_from_robot: &Isometry3<f64>, radius_m: f64) {
+        self.assume_where(world_from_robot, radius_m, |_| true);
+    }
+
+    /// The same for the part of the disc that is `open` to where the robot stands.
+    pub fn assume_where(
+        &mut self,
+        world_from_robot: &Isometry3<f64>,
+        radius_m: f64,
+        open: impl Fn(&Point2<f64>) -> bool,
+    ) {
         let floor = FloorPlane::under(world_from_robot, &self.shape);
-        self.stand_on(&floor, radius_m, Seen::Assumed, |_, _| true);
+        self.stand_on(&floor, radius_m, Seen::Assumed, |x, y| open(&Point2::new(x, y)));
     }
 
     /// Takes a sector ahead of the robot for ground, `half_angle_rad` to either side of its heading and

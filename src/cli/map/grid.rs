@@ -6,7 +6,7 @@ use crate::export::map_picture::{self, Overlay};
 use crate::mapping::Landmark;
 use crate::scan::RangeImage;
 use crate::terrain::{Grid, RobotShape, Terrain, TerrainConfig};
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point2};
 
 /// Height of the sensor above the floor where no scan shows the floor, in metres: the paper's robot's.
 pub const SUPPOSED_HEIGHT_M: f64 = 0.6;
@@ -38,7 +38,7 @@ pub fn sensor_above_floor(landmarks: &[Landmark], sensors: &[Isometry3<f64>]) ->
 
 /// The grid on the level of the last scan, for a robot of the default shape that carries the sensor
 /// `above_m` over the floor. Where it stood there was ground: the disc that the sensor cannot see into
-/// is assumed. With it the rooms and doorways between these walls, which keep from scan to scan who
+/// is assumed, as far as no wall hides it. With it the rooms and doorways between these walls, which keep from scan to scan who
 /// they are: a map of the first scans alone has most of them under the same numbers.
 pub fn grid(
     images: &[&RangeImage],
@@ -56,7 +56,10 @@ pub fn grid(
     let (mut places, mut next) = (Places::default(), 0);
     for (number, (image, pose)) in images.iter().zip(sensors).enumerate() {
         let blind_m = nearest_ground(image, above_m).unwrap_or_default();
-        terrain.assume(pose, blind_m.clamp(shape.circumscribed_radius_m(), MOST_ASSUMED_M));
+        let blind_m = blind_m.clamp(shape.circumscribed_radius_m(), MOST_ASSUMED_M);
+        let at = pose.translation.vector;
+        let hidden = walls.hide(Point2::new(at.x, at.y), at.z - above_m, blind_m);
+        terrain.assume_where(pose, blind_m, |p| !hidden(p));
         terrain.integrate(image, pose);
         if number == next {
             places = places.renewed(&terrain.project(pose), walls);

@@ -13,6 +13,9 @@ const BAND_M: (f64, f64) = (0.5, 1.6);
 /// How much of the band a surface covers where it is a wall, in metres.
 const COVERED_M: f64 = 0.5;
 
+/// Directions in which what a wall hides is told apart.
+const DIRECTIONS: usize = 720;
+
 /// What of the map's planes stands upright.
 #[derive(Clone, Debug, Default)]
 pub struct Walls {
@@ -37,6 +40,38 @@ impl Walls {
 
     pub(super) fn columns(&self) -> &[Column] {
         &self.columns
+    }
+
+    /// Where a wall on ground of some height hides what is around a place, up to so many metres away: whether it
+    /// hides a point over the ground.
+    pub fn hide(
+        &self,
+        from: Point2<f64>,
+        ground_m: f64,
+        within_m: f64,
+    ) -> impl Fn(&Point2<f64>) -> bool + use<> {
+        let direction = move |to: &Point2<f64>| {
+            let away = to - from;
+            let turns = away.y.atan2(away.x) / std::f64::consts::TAU;
+            ((turns.rem_euclid(1.0) * DIRECTIONS as f64) as usize % DIRECTIONS, away.norm())
+        };
+        let mut clear_m = [f64::INFINITY; DIRECTIONS];
+        for column in self.columns.iter().filter(|column| column.bounds(ground_m)) {
+            let (middle, away_m) = direction(&column.at);
+            if away_m > within_m {
+                continue;
+            }
+            let half_rad = (MASK_CELL_M / away_m.max(MASK_CELL_M)).asin();
+            let half = (half_rad / std::f64::consts::TAU * DIRECTIONS as f64).ceil() as usize;
+            for beside in 0..=2 * half {
+                let at = &mut clear_m[(middle + DIRECTIONS + beside - half) % DIRECTIONS];
+                *at = at.min(away_m);
+            }
+        }
+        move |to| {
+            let (direction, away_m) = direction(to);
+            away_m > clear_m[direction]
+        }
     }
 }
 
