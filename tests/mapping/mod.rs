@@ -14,4 +14,5 @@ mod shelves;
 mod situations;
 mod slips;
 mod turned;
+mod united;
 mod world;

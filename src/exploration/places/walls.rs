@@ -96,3 +96,44 @@ fn columns(landmark: &Landmark) -> Vec<Column> {
     }
     columns.into_values().collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall from (1, -1) to (1, 1), as high as told.
+    fn wall(high_m: f64) -> Walls {
+        let steps = (2.0 / MASK_CELL_M) as i32;
+        let heights_m: Vec<f64> =
+            (0..).map(|k| MASK_CELL_M * f64::from(k)).take_while(|z| *z < high_m).collect();
+        let at = |step: i32| Point2::new(1.0, MASK_CELL_M * f64::from(step) - 1.0);
+        let columns = (0..=steps).map(|step| Column { at: at(step), heights_m: heights_m.clone() });
+        Walls { columns: columns.collect() }
+    }
+
+    #[test]
+    fn a_wall_hides_what_is_behind_it() {
+        let hidden = wall(2.0).hide(Point2::new(-0.5, 0.1), 0.0, 4.0);
+        for degrees in 0..360 {
+            let (sin, cos) = f64::from(degrees).to_radians().sin_cos();
+            for away_m in [0.5, 1.2, 2.5, 3.9] {
+                let p = Point2::new(-0.5 + away_m * cos, 0.1 + away_m * sin);
+                let crosses_at_m = 0.1 + 1.5 * sin / cos;
+                let is_behind = cos > 0.0 && p.x > 1.0 && crosses_at_m.abs() < 1.0;
+                // Beside the wall's ends by a cell either is right.
+                if (crosses_at_m.abs() - 1.0).abs() > 2.0 * MASK_CELL_M {
+                    assert_eq!(hidden(&p), is_behind, "{degrees}°, {away_m} m");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_low_or_far_or_on_another_storey_hides_nothing() {
+        let behind = Point2::new(1.5, 0.0);
+        assert!(!wall(0.6).hide(Point2::origin(), 0.0, 4.0)(&behind));
+        assert!(!wall(2.0).hide(Point2::origin(), 3.0, 4.0)(&behind));
+        assert!(!wall(2.0).hide(Point2::origin(), 0.0, 0.9)(&behind));
+        assert!(wall(2.0).hide(Point2::origin(), 0.0, 1.6)(&behind));
+    }
+}

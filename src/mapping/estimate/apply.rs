@@ -102,6 +102,10 @@ impl Estimate {
             estimate.solve(report, config, fineness);
         };
         self.take_curves(arrival, &mut report, solve);
+        if self.unite_doubles(&mut report) {
+            self.solve(&mut report, config, fineness);
+            self.redraw_united(&report);
+        }
         self.keep_up(&mut report, arrival.scan);
         report
     }

@@ -8,6 +8,7 @@ mod candidates;
 mod constellation;
 mod curves;
 mod prepare;
+mod unite;
 mod upkeep;
 
 use super::association::Assignment;

@@ -57,6 +57,11 @@ impl Estimate {
         report.moved.sort_by_key(|moved| moved.keyframe);
     }
 
+    /// Whether a keyframe that sees a landmark sees it again after a long way.
+    pub(super) fn closes_loop(&self, id: LandmarkId, keyframe: usize) -> bool {
+        self.landmark(id).is_some_and(|it| it.last_keyframe + LOOP_SCANS < keyframe)
+    }
+
     /// Extends the landmarks that a scan saw, redraws those whose old sightings slid, and completes
     /// the report.
     pub(super) fn keep_up(&mut self, report: &mut UpdateReport, scan: &ScanObservations) {
@@ -69,8 +74,8 @@ impl Estimate {
         let slid: Vec<LandmarkId> = moved.into_iter().filter(|&id| self.has_slid(id)).collect();
         for pair in &report.associations {
             let Some(slot) = self.slot(pair.landmark) else { continue };
+            report.loop_closed |= self.closes_loop(pair.landmark, number);
             let landmark = &mut self.landmarks[slot];
-            report.loop_closed |= landmark.last_keyframe + LOOP_SCANS < number;
             if landmark.last_keyframe != number {
                 landmark.sightings += 1;
                 landmark.last_keyframe = number;
@@ -124,7 +129,7 @@ impl Estimate {
 
     /// Hull and mask of a landmark anew from all its sightings: after a correction the patches lie
     /// elsewhere within the plane, which the plane itself does not show.
-    fn redraw_extent(&mut self, id: LandmarkId) {
+    pub(super) fn redraw_extent(&mut self, id: LandmarkId) {
         let (Some(slot), Some(roots)) = (self.slot(id), self.roots.get(&id)) else { return };
         let landmark = &mut self.landmarks[slot];
         landmark.hull.clear();
