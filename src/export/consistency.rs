@@ -24,6 +24,8 @@ const ONE_OF_ITS_SURFACES: f64 = 0.25;
 /// The same for sightings themselves, which err: what lies closer together passes for one surface here.
 const SEEN_ALIKE_M: f64 = 0.03;
 const SEEN_ALIKE_RAD: f64 = 0.1;
+/// Standard deviations of its own normal by which a sighting may be turned.
+const TILT_SIGMAS: f64 = 3.0;
 
 /// Normalised estimation errors squared of motions between keyframes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -114,8 +116,8 @@ pub fn associations(
     let mut score = Associations::default();
     for keyframe in keyframes {
         let Some(pose) = pose_at(keyframe) else { continue };
-        for Sighting { landmark, patch } in &keyframe.sightings {
-            let as_seen = SeenPlane::of_sighting(patch, &pose);
+        for Sighting { landmark, patch, tilt_sigma_rad } in &keyframe.sightings {
+            let as_seen = SeenPlane::of_sighting(patch, *tilt_sigma_rad, &pose);
             let (whole, under) = match world {
                 Some(world) => {
                     let under = true_surfaces(patch, world, &pose);
@@ -173,10 +175,15 @@ impl From<UnderPatch> for SeenPlane {
 impl SeenPlane {
     /// The sighting's own plane where it was truly made: that of a board's edge says nothing of how the edge is
     /// turned about its length.
-    fn of_sighting(patch: &Patch, pose: &Isometry3<f64>) -> Self {
-        let open_rad = (SEEN_ALIKE_M / (0.5 * width_m(patch)).max(1e-6)).atan();
+    fn of_sighting(patch: &Patch, tilt_sigma_rad: f64, pose: &Isometry3<f64>) -> Self {
+        let open_rad = open_by_width_rad(patch).max(TILT_SIGMAS * tilt_sigma_rad);
         Self { point: pose * patch.centroid, normal: pose * patch.normal, open_rad }
     }
+}
+
+/// How far a patch may be turned about its length without its sides leaving its place.
+fn open_by_width_rad(patch: &Patch) -> f64 {
+    (SEEN_ALIKE_M / (0.5 * width_m(patch)).max(1e-6)).atan()
 }
 
 /// Least width of a patch's hull in its plane, in metres.
@@ -227,8 +234,10 @@ impl Outline {
             Isometry3::look_at_rh(&surface.point, &(surface.point + *normal), &up);
         let on_surface = |p: &Point3<f64>| (surface_from_world * (world_from_robot * p)).xy();
         let corners: Vec<Point2<f64>> = patch.hull.iter().map(on_surface).collect();
+        // What is turned any way lies on anything: a double has to show that it is one.
+        let open_rad = surface.open_rad.min(open_by_width_rad(patch));
         Some(Self {
-            surface: *surface,
+            surface: SeenPlane { open_rad, ..*surface },
             middle: world_from_robot * patch.centroid,
             hull: convex_hull(&corners),
             surface_from_world,
@@ -308,6 +317,7 @@ mod tests {
                     .map(|(dx, dy)| Point3::new(x + dx, dy, z))
                     .to_vec(),
             },
+            tilt_sigma_rad: 0.0,
         };
         let floor = |x: f64, z: f64| floor_of(3, x, z);
         let seen = [
@@ -347,6 +357,7 @@ mod tests {
                     .map(|(x, y)| Point3::new(x, y, -0.2))
                     .to_vec(),
             },
+            tilt_sigma_rad: 0.0,
         };
         let score = |sightings: &[Sighting]| {
             let seen: Vec<Keyframe> =
@@ -365,19 +376,21 @@ mod tests {
     /// wall is not.
     #[test]
     fn how_a_strip_is_turned_about_its_length_is_not_held_against_it() {
-        let seen = |height_m: f64, turned_rad: f64| {
+        let seen = |height_m: f64, tilt_sigma_rad: f64, turned_rad: f64| {
             let normal = Vector3::new(-turned_rad.cos(), 0.0, turned_rad.sin());
             let up = Vector3::new(turned_rad.sin(), 0.0, turned_rad.cos()) * (0.5 * height_m);
             let corner = |y: f64, side: f64| Point3::new(2.0, y, 0.5) + up * side;
             let hull =
                 vec![corner(-0.5, -1.0), corner(0.5, -1.0), corner(0.5, 1.0), corner(-0.5, 1.0)];
             let patch = Patch { normal, centroid: Point3::new(2.0, 0.0, 0.5), hull };
-            keyframe(2.0, 0.0, vec![Sighting { landmark: 1, patch }])
+            keyframe(2.0, 0.0, vec![Sighting { landmark: 1, patch, tilt_sigma_rad }])
         };
-        let wrong = |height_m| {
-            let seen = [seen(height_m, 0.0), seen(height_m, 0.2), seen(height_m, -0.01)];
-            associations(&seen, &truth(), None).unwrap().wrong
+        let wrong = |height_m, sigma_rad| {
+            let turned = [0.0, 0.2, -0.01].map(|turned_rad| seen(height_m, sigma_rad, turned_rad));
+            associations(&turned, &truth(), None).unwrap().wrong
         };
-        assert_eq!((wrong(0.03), wrong(2.0)), (0, 1));
+        assert_eq!((wrong(0.03, 0.0), wrong(2.0, 0.0)), (0, 1));
+        // One column of rows that lie far apart, by what it says of itself.
+        assert_eq!((wrong(2.0, 0.05), wrong(2.0, 0.02)), (0, 1));
     }
 }

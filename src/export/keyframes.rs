@@ -5,7 +5,7 @@ use super::evaluate::Patch;
 use crate::mapping::Mapper;
 use crate::mission::Belief;
 use crate::time::Stamp;
-use nalgebra::{Isometry3, Matrix6, Point3};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Point3};
 use serde::{Deserialize, Serialize};
 
 /// One scan that went into the map.
@@ -34,6 +34,10 @@ pub struct Sighting {
     /// The plane, in the robot frame.
     #[serde(flatten)]
     pub patch: Patch,
+    /// Standard deviation of its normal in radians, about the axis about which it is greatest: a sliver one column
+    /// wide tells nothing of how it is turned about its length.
+    #[serde(default)]
+    pub tilt_sigma_rad: f64,
 }
 
 /// The keyframes of a belief, in order.
@@ -67,6 +71,13 @@ fn sightings(mapper: &Mapper, number: usize) -> Vec<Sighting> {
                 centroid: Point3::from(seen.robot_from_plane.translation.vector),
                 hull: seen.hull_points().collect(),
             },
+            tilt_sigma_rad: tilt_sigma_rad(&seen.covariance),
         })
         .collect()
+}
+
+/// The greatest standard deviation of the tilts of a plane with this covariance (offset, tilts).
+fn tilt_sigma_rad(covariance: &Matrix3<f64>) -> f64 {
+    let tilts = covariance.fixed_view::<2, 2>(1, 1).into_owned();
+    tilts.symmetric_eigenvalues().max().max(0.0).sqrt()
 }
