@@ -276,8 +276,13 @@ impl Running {
     /// Whether the body leans as no ground that is driven on for long does: a wheel has gone down beside a
     /// plate or up on something, and what looks unreachable from there is not.
     fn hangs(&self) -> bool {
-        let attitude = self.belief.attitude();
-        attitude.is_some_and(|now| now.roll_rad.abs().max(now.pitch_rad.abs()) > HANGING_RAD)
+        self.lean_rad() > HANGING_RAD
+    }
+
+    /// The greater of roll and pitch, as far as anything tells them.
+    fn lean_rad(&self) -> f64 {
+        let attitude = self.belief.attitude().unwrap_or_default();
+        attitude.roll_rad.abs().max(attitude.pitch_rad.abs())
     }
 
     /// Whether most of the ground that the robot drove over on its level can no longer be reached: it
@@ -474,10 +479,10 @@ impl Running {
         if self.looks_level {
             self.park(desk);
         }
-        let pose = self.pose2();
+        let (pose, lean_rad) = (self.pose2(), self.lean_rad());
         self.renew_grid(desk);
         let Activity::Recover { recovery, gave_up } = &mut self.activity else { return };
-        match self.pilot.recovery_step(recovery, &pose, &self.grid, desk.now) {
+        match self.pilot.recovery_step(recovery, &pose, lean_rad, &self.grid, desk.now) {
             RecoveryStep::Try(_, command) => self.drive(command, desk),
             RecoveryStep::Recovered => {
                 desk.info("free again");

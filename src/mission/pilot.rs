@@ -335,10 +335,11 @@ impl Pilot {
         &mut self,
         recovery: &mut Recovery,
         pose: &Pose2,
+        lean_rad: f64,
         grid: &Grid,
         now: Arrival,
     ) -> RecoveryStep {
-        let step = recovery.step(now, pose, &self.trail, grid);
+        let step = recovery.step(now, pose, lean_rad, &self.trail, grid);
         if step == RecoveryStep::Recovered {
             self.got_out = Some((*pose, recovery.rung()));
         }

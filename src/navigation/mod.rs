@@ -20,6 +20,7 @@ mod recover;
 pub mod speed;
 mod stuck;
 mod swath;
+mod tipping;
 mod trail;
 
 pub use cost_map::{CostMap, PlanConfig};

@@ -1,5 +1,6 @@
 use super::footprint::Footprint;
 use super::stuck::Trouble;
+use super::tipping::{TipGuard, Tipping};
 use super::trail::Trail;
 use super::{DriveCommand, Pose2};
 use crate::geometry::wrap_pi;
@@ -102,6 +103,7 @@ pub struct Recovery {
     rung: Rung,
     since: Arrival,
     from: Pose2,
+    tip_guard: TipGuard,
 }
 
 impl Recovery {
@@ -121,6 +123,7 @@ impl Recovery {
             rung: Rung::Pause,
             since: now,
             from: *pose,
+            tip_guard: TipGuard::default(),
         }
     }
 
@@ -141,8 +144,38 @@ impl Recovery {
         self.footprint.turn_conflict(grid, pose, std::f64::consts::PI).is_none()
     }
 
-    /// The next command, for a robot at `pose` with this track behind it.
-    pub fn step(&mut self, now: Arrival, pose: &Pose2, trail: &Trail, grid: &Grid) -> RecoveryStep {
+    /// The next command, for a robot at `pose` with this track behind it that leans by `lean_rad`, the greater of
+    /// its roll and pitch. A rung that tips it over ends at once: the wheels turn back until it is down, and the
+    /// next rung waits until it stands.
+    pub fn step(
+        &mut self,
+        now: Arrival,
+        pose: &Pose2,
+        lean_rad: f64,
+        trail: &Trail,
+        grid: &Grid,
+    ) -> RecoveryStep {
+        match self.tip_guard.watch(now, lean_rad) {
+            Tipping::No => {}
+            Tipping::Back(command) => return RecoveryStep::Try(self.rung, command),
+            Tipping::Over => {
+                let Some(next) = self.rung.next() else { return RecoveryStep::GaveUp };
+                (self.rung, self.from) = (next, *pose);
+                self.since = now + Span::from_seconds(self.config.pause_s);
+            }
+        }
+        if now < self.since {
+            return RecoveryStep::Try(self.rung, DriveCommand::STOP);
+        }
+        let step = self.climb(now, pose, trail, grid);
+        if let RecoveryStep::Try(_, command) = step {
+            self.tip_guard.told(command);
+        }
+        step
+    }
+
+    /// The same while the body does not tip.
+    fn climb(&mut self, now: Arrival, pose: &Pose2, trail: &Trail, grid: &Grid) -> RecoveryStep {
         loop {
             let spent = now - self.since;
             let moved_m = pose.distance_m(&self.from.point());
@@ -260,7 +293,7 @@ mod tests {
         let mut rungs = Vec::new();
         for tick in 0..1000 {
             let now = Arrival::from_seconds(0.2 * f64::from(tick));
-            match recovery.step(now, &pose, &trail, grid) {
+            match recovery.step(now, &pose, 0.0, &trail, grid) {
                 RecoveryStep::Try(rung, command) => {
                     if rungs.last() != Some(&rung) {
                         rungs.push(rung);
@@ -324,6 +357,47 @@ mod tests {
         // A leaning robot only backs out.
         let leaning = Trouble::Tilted { roll_rad: 0.5, pitch_rad: 0.0 };
         assert_eq!(after(Rung::BackOut, &leaning), Rung::Pause);
+    }
+
+    /// Wheels that are blocked by an edge turn the body about them: from some way back on the robot leans by a
+    /// tenth of a radian more in each tick until the wheels turn the other way; braked they hold it up.
+    #[test]
+    fn a_rung_that_tips_the_robot_over_ends_at_once() {
+        let (start, trail) = (Pose2 { x_m: 1.95, y_m: 0.0, yaw_rad: 0.0 }, track());
+        for blocked_m in [0.0, 0.1, 0.2] {
+            let (config, shape) = (RecoveryConfig::default(), RobotShape::default());
+            let mut recovery = Recovery::new(config, &shape, 0.15, &STUCK, Arrival(0), &start);
+            let (mut pose, mut lean_rad, mut most_rad, mut rungs) = (start, 0.2, 0.0_f64, vec![]);
+            let mut ended = None;
+            for tick in 0..600 {
+                let now = Arrival::from_seconds(0.1 * f64::from(tick));
+                match recovery.step(now, &pose, lean_rad, &trail, &open_grid()) {
+                    RecoveryStep::Try(rung, DriveCommand { linear_mps, angular_rps }) => {
+                        if rungs.last() != Some(&rung) {
+                            rungs.push(rung);
+                        }
+                        let is_blocked = linear_mps < 0.0 && start.x_m - pose.x_m >= blocked_m;
+                        if is_blocked {
+                            lean_rad += 0.1;
+                        } else if lean_rad > 0.2 && linear_mps > 0.0 {
+                            lean_rad = f64::max(0.2, lean_rad - 0.1);
+                        } else {
+                            pose = pose.driven(0.1 * linear_mps, 0.0);
+                        }
+                        // It does not turn either.
+                        assert!(angular_rps.abs() < 0.5);
+                        most_rad = most_rad.max(lean_rad);
+                    }
+                    end => {
+                        ended.get_or_insert(end);
+                        break;
+                    }
+                }
+            }
+            assert!(most_rad > 0.29 && most_rad < 0.45, "{blocked_m}: {most_rad}, {ended:?}");
+            assert!(lean_rad < 0.25, "it stands again: {lean_rad}");
+            assert_eq!(rungs[..3], [Rung::Pause, Rung::BackOut, Rung::TurnLeft], "{rungs:?}");
+        }
     }
 
     #[test]
