@@ -99,7 +99,14 @@ fn score(folder: &Path, arguments: &EvalArguments) -> Result<Evaluation> {
     }
     check_times(folder, &files)?;
     let limits = world.as_ref().map(limits).transpose()?;
-    Ok(evaluate(&files, world.as_ref().map(|world| &world.world).zip(limits.as_ref())))
+    let score = evaluate(&files, world.as_ref().map(|world| &world.world).zip(limits.as_ref()));
+    if score.planes.is_some_and(|planes| planes.matched == 0) {
+        say::warn(format_args!(
+            "{}: none of its planes lies on a surface of the scenario's world; is it of another one?",
+            folder.display()
+        ));
+    }
+    Ok(score)
 }
 
 /// Says that the truth does not end where the trajectory does: beyond its end its last pose holds.
@@ -164,6 +171,8 @@ fn table(folders: &[&Path], scores: &[Evaluation]) -> String {
             .collect();
         let _ = writeln!(text, "{name:<28}{cells}");
     };
+    let metres = |value: f64| format!("{value:.4}");
+    let degrees = |value: f64| format!("{value:.3}");
     row("scenario", &|score| Some(score.scenario.clone()));
     row("outcome", &|score| Some(score.outcome.clone()));
     row("mission time, s", &|score| Some(format!("{:.0}", score.mission_time_s)));
@@ -181,14 +190,10 @@ fn table(folders: &[&Path], scores: &[Evaluation]) -> String {
     row("planes matched / not", &|score| {
         score.planes.map(|planes| format!("{} / {}", planes.matched, planes.unmatched))
     });
-    row("plane offset rmse, m", &|score| score.planes.map(|p| format!("{:.4}", p.offset_rmse_m)));
-    row("plane offset median, m", &|score| {
-        score.planes.map(|p| format!("{:.4}", p.offset_median_m))
-    });
-    row("plane tilt rmse, deg", &|score| score.planes.map(|p| format!("{:.3}", p.tilt_rmse_deg)));
-    row("plane tilt median, deg", &|score| {
-        score.planes.map(|p| format!("{:.3}", p.tilt_median_deg))
-    });
+    row("plane offset rmse, m", &|score| score.planes?.offset_rmse_m.map(metres));
+    row("plane offset median, m", &|score| score.planes?.offset_median_m.map(metres));
+    row("plane tilt rmse, deg", &|score| score.planes?.tilt_rmse_deg.map(degrees));
+    row("plane tilt median, deg", &|score| score.planes?.tilt_median_deg.map(degrees));
     row("NEES of keyframes (6)", &|score| score.nees.map(|nees| format!("{:.2}", nees.mean)));
     row("NEES from each to the next (6)", &|score| {
         score.step_nees.map(|nees| format!("{:.2}", nees.mean))

@@ -147,14 +147,15 @@ pub struct PlaneErrors {
     pub matched: usize,
     /// Planes that lie on none.
     pub unmatched: usize,
-    /// Root mean square of the offset along the normal at the centroid, in metres.
-    pub offset_rmse_m: f64,
+    /// Root mean square of the offset along the normal at the centroid, in metres; `None`, as what follows, where
+    /// no plane lies on a surface.
+    pub offset_rmse_m: Option<f64>,
     /// Median of its size in metres.
-    pub offset_median_m: f64,
+    pub offset_median_m: Option<f64>,
     /// Root mean square of the angle between the normals, in degrees.
-    pub tilt_rmse_deg: f64,
+    pub tilt_rmse_deg: Option<f64>,
     /// Median of it in degrees.
-    pub tilt_median_deg: f64,
+    pub tilt_median_deg: Option<f64>,
 }
 
 /// Scores a run. `world` and the robot's limits are those of its scenario, where it is known.
@@ -274,13 +275,14 @@ fn planes(files: &RunFiles, world: &World, true_from_map: &Isometry3<f64>) -> Op
         }
     }
     let sizes: Vec<f64> = offsets.iter().map(|offset| offset.abs()).collect();
+    let of_any = |value: f64| (!offsets.is_empty()).then_some(value);
     Some(PlaneErrors {
         matched: offsets.len(),
         unmatched: files.patches.len() - offsets.len(),
-        offset_rmse_m: rms(&offsets),
-        offset_median_m: median(&sizes),
-        tilt_rmse_deg: rms(&tilts),
-        tilt_median_deg: median(&tilts),
+        offset_rmse_m: of_any(rms(&offsets)),
+        offset_median_m: of_any(median(&sizes)),
+        tilt_rmse_deg: of_any(rms(&tilts)),
+        tilt_median_deg: of_any(median(&tilts)),
     })
 }
 
@@ -457,7 +459,12 @@ mod tests {
         };
         let planes = evaluate(&files, Some((&world, &limits))).planes.unwrap();
         assert_eq!((planes.matched, planes.unmatched), (1, 1));
-        assert!((planes.offset_rmse_m - 0.02).abs() < 1e-3, "{planes:?}");
-        assert!((planes.tilt_rmse_deg - tilt.to_degrees()).abs() < 1e-6, "{planes:?}");
+        assert!((planes.offset_rmse_m.unwrap() - 0.02).abs() < 1e-3, "{planes:?}");
+        assert!((planes.tilt_rmse_deg.unwrap() - tilt.to_degrees()).abs() < 1e-6, "{planes:?}");
+        // Of another world nothing is told to be exact.
+        let files = RunFiles { patches: vec![patch(2.0)], ..files };
+        let planes = evaluate(&files, Some((&world, &limits))).planes.unwrap();
+        assert_eq!((planes.matched, planes.unmatched), (0, 1));
+        assert_eq!((planes.offset_rmse_m, planes.tilt_median_deg), (None, None));
     }
 }
