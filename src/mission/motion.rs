@@ -226,8 +226,11 @@ impl MotionTracker {
         let map_from_before = self.drift.corrected(&attitude).rotation();
         let by_wheels = map_from_before * increment.translation.vector;
         let Some(way) = self.way.way(by_wheels.xy()) else { return Some((increment, source)) };
+        // It climbs with the way that it goes, not with that of wheels that spin on a kerb.
+        let level_m2 = by_wheels.xy().norm_squared();
+        let share = if level_m2 > 0.0 { way.dot(&by_wheels.xy()) / level_m2 } else { 1.0 };
         increment.translation.vector =
-            map_from_before.inverse() * Vector3::new(way.x, way.y, by_wheels.z);
+            map_from_before.inverse() * Vector3::new(way.x, way.y, share * by_wheels.z);
         Some((increment, MotionSource::Inertial))
     }
 
@@ -325,6 +328,33 @@ mod tests {
         }
         assert!(lost_rad > 0.5, "{lost_rad}");
         assert!((turned_rad - 0.03 * 119.0).abs() < 0.03, "{turned_rad}");
+    }
+
+    #[test]
+    fn wheels_that_spin_on_a_kerb_climb_nothing() {
+        // Up a ramp of 0.2 rad, the wheels counting a fifth too much, and then against a kerb.
+        let ramp = BodyAttitude { pitch_rad: -0.2, ..Default::default() };
+        let mut tracker = MotionTracker::default();
+        tracker.attitude(ramp);
+        tracker.settle_attitude(&ramp, 0.001);
+        let mut world = ramp.rotation() * Isometry3::identity();
+        let (mut wheels_m, mut climbed_m) = (0.0, 0.0);
+        for step in 0..=200 {
+            let way_m = 0.04 * f64::from(step.min(50));
+            let cut = |metres: f64| (100.0 * metres).round() / 100.0;
+            tracker.attitude(ramp);
+            tracker.place(InertialPlace::new(cut(way_m * 0.2_f64.cos()), 0.0, 0.4));
+            wheels_m += 1.2 * 0.04;
+            if let Some((increment, _)) = tracker.wheels(pose(wheels_m, 0.0, 0.0)) {
+                world *= increment;
+            }
+            if step == 50 {
+                climbed_m = world.translation.vector.z;
+                assert!((climbed_m - 2.0 * 0.2_f64.sin()).abs() < 0.05, "{climbed_m}");
+            }
+        }
+        let more_m = world.translation.vector.z - climbed_m;
+        assert!(more_m.abs() < 0.005, "{more_m} m higher by 7 m of spinning wheels");
     }
 
     #[test]
