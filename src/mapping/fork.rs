@@ -180,6 +180,11 @@ impl<'a> Fork<'a> {
             elsewhere |= moved.iter().any(|found| stands_elsewhere(found, &guess));
             weighed.extend(moved);
         }
+        if doubts.of_place() && arrival.attitude.is_none() {
+            let leant = self.leant(doubts.doubled());
+            elsewhere |= leant.iter().any(|found| stands_elsewhere(found, &guess));
+            weighed.extend(leant);
+        }
         if doubts.of_place() && self.level_m() < MEASURED_M {
             weighed.extend(self.turned(doubts.doubled(), &predicted));
         }
@@ -313,6 +318,14 @@ impl<'a> Fork<'a> {
             let there = self.claims(there, log_prior).into_iter();
             claims.extend(there.map(|claim| Claim { far: claim.far || far, ..claim }));
         }
+        self.weigh(claims)
+    }
+
+    /// What fits where odometry led if it knows nothing of how the ground slopes, with so many pairs.
+    fn leant(&mut self, least: usize) -> Vec<Judged> {
+        let leant = self.estimate.prepare_leant(self.arrival, self.config);
+        let mut claims = self.claims(leant, LOG_SLIPPED);
+        claims.retain(|claim| claim.assignment.pairs.len() >= least);
         self.weigh(claims)
     }
 

@@ -11,7 +11,7 @@ use usar_agent::mapping::perturbation::pose_error;
 use usar_agent::mapping::{Landmark, Mapper, MapperConfig, MotionSource, ScanObservations};
 use usar_agent::segmentation::{SegmentationConfig, Segmenter};
 
-const HEIGHT_M: f64 = 0.6;
+pub(super) const HEIGHT_M: f64 = 0.6;
 
 /// A stair up to a landing, in a hall.
 fn stair(tread_m: f64) -> World {

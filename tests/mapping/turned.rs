@@ -1,8 +1,14 @@
-//! Headings that slip, and turns that lead to what looks like what was seen before.
+//! Headings that slip, robots that lean where odometry knows level ground only, and turns that lead to what looks
+//! like what was seen before.
 
-use super::slips::{along, end_off_m};
-use crate::segmentation::world::World;
+use super::real_scan::observed;
+use super::slips::{HEIGHT_M, along, end_off_m};
+use crate::segmentation::scanner::{Noise, Scanner, scan};
+use crate::segmentation::world::{Random, World, pose};
 use nalgebra::{Isometry3, Translation3, Vector3};
+use usar_agent::mapping::perturbation::pose_error;
+use usar_agent::mapping::{Mapper, MapperConfig, MotionSource};
+use usar_agent::segmentation::{SegmentationConfig, Segmenter};
 
 fn turn(degrees: f64) -> Isometry3<f64> {
     Isometry3::new(Vector3::zeros(), Vector3::z() * degrees.to_radians())
@@ -50,6 +56,47 @@ fn a_heading_that_slips_before_the_way_is_found() {
             let slip = motion.inverse() * turn(degrees) * motion;
             let off_m = end_off_m(&seen, at, &slip);
             assert!(off_m < 0.02, "{degrees}°, step {at}: {off_m} m off");
+        }
+    }
+}
+
+/// Wheels count on level ground whatever it is: in one step the robot rolls or pitches by as much as a ramp, a
+/// kerb under one wheel or a rut makes it.
+#[test]
+fn a_lean_that_odometry_knows_nothing_of_is_found() {
+    let (world, way) = furnished();
+    let scanner = Scanner::paper();
+    let mut segmenter = Segmenter::new(SegmentationConfig::default());
+    for (roll_deg, pitch_deg) in [(8.0, 0.0), (0.0, -10.0), (-12.0, 0.0), (7.0, 9.0)] {
+        for at in [2, 5, 8] {
+            let mut random = Random(3);
+            let mut mapper: Option<Mapper> = None;
+            for (step, &(x, y, yaw_deg)) in way.iter().enumerate() {
+                let [roll, pitch] = if step == at { [roll_deg, pitch_deg] } else { [0.0; 2] };
+                let stands = |[roll, pitch]: [f64; 2]| {
+                    let [roll, pitch, yaw] = [roll, pitch, yaw_deg].map(f64::to_radians);
+                    pose([x, y, HEIGHT_M], roll, pitch, yaw)
+                };
+                let (truth, level) = (stands([roll, pitch]), stands([0.0; 2]));
+                let grid = scan(&world, &truth, &scanner, Noise::of(0.007), &mut random).grid;
+                let seen = observed(&mut segmenter, &grid);
+                if let (Some(mapper), Some(&(x, y, yaw_deg))) =
+                    (&mut mapper, way.get(step.wrapping_sub(1)))
+                {
+                    let before = pose([x, y, HEIGHT_M], 0.0, 0.0, yaw_deg.to_radians());
+                    mapper.predict(&(before.inverse() * level), MotionSource::Wheels);
+                }
+                let mapper =
+                    mapper.get_or_insert_with(|| Mapper::new(MapperConfig::default(), truth));
+                mapper.observe(&seen);
+                let off = pose_error(&mapper.world_from_robot(), &truth);
+                let (off_m, off_rad) =
+                    (off.fixed_rows::<3>(0).norm(), off.fixed_rows::<3>(3).norm());
+                assert!(
+                    off_m < 0.01 && off_rad < 0.003,
+                    "{roll_deg}°, {pitch_deg}° at {at}, scan {step}: {off_m} m, {off_rad} rad"
+                );
+            }
         }
     }
 }

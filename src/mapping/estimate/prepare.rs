@@ -26,6 +26,9 @@ const ABOUT_RAD: f64 = 0.03;
 const UP_M: f64 = 0.03;
 const ANYWHERE_M: f64 = 10.0;
 const ANYWHERE_RAD: f64 = 1.0;
+/// The same of the height, roll and pitch of a robot that has driven onto a slope or off it.
+const LEANT_M: f64 = 0.1;
+const LEANT_RAD: f64 = 0.15;
 /// Squared Mahalanobis distance within which a motion may have gone: 99.9 % of χ² with three degrees of
 /// freedom.
 const REACH: f64 = 16.266;
@@ -96,6 +99,21 @@ impl Estimate {
         let motion_covariance = widened * arrival.motion_covariance * widened;
         let predicted = self.last_pose() * arrival.motion;
         self.prepare_after(arrival, config, arrival.motion, motion_covariance, predicted)
+    }
+
+    /// [`prepare`](Self::prepare) for a motion that wheels tell, which count on level ground whatever it is: of
+    /// roll and pitch, and of the height, nothing is believed but that a robot can drive there.
+    pub(in crate::mapping) fn prepare_leant(
+        &self,
+        arrival: &Arrival<'_>,
+        config: &AssociationConfig,
+    ) -> Prepared {
+        let mut covariance = arrival.motion_covariance;
+        for (component, sigma) in [(2, LEANT_M), (3, LEANT_RAD), (4, LEANT_RAD)] {
+            covariance[(component, component)] += sigma * sigma;
+        }
+        let predicted = self.last_pose() * arrival.motion;
+        self.prepare_after(arrival, config, arrival.motion, covariance, predicted)
     }
 
     /// The landmarks that are still there.
