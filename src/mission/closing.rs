@@ -1,5 +1,6 @@
 //! The last look: the place that a mission reports is one that a sweep has corrected.
 
+use super::config::AgentConfig;
 use super::fixing::best_heading;
 use super::operator::Mode;
 use super::pilot::Progress;
@@ -54,12 +55,9 @@ impl Running {
             self.activity,
             Activity::Settle { .. } | Activity::Sweep | Activity::SignTest(_)
         );
-        let Some(acquisition) = self.acquisition.as_ref().filter(|_| !looking) else {
+        let Some(needed_s) = self.last_look_s(desk.config).filter(|_| !looking) else {
             return false;
         };
-        let profile = Profile::coarse(ROWS_DEG);
-        let sweep_s = acquisition.seconds_for(&profile, desk.config.mission.flowing_sweeps);
-        let needed_s = desk.config.mission.settle_s + sweep_s + SPARE_S;
         let left_s = (end - desk.now).seconds();
         if left_s > needed_s {
             if self.closing == Closing::Turning {
@@ -69,6 +67,24 @@ impl Running {
                 && self.begin_turn(left_s - needed_s, end, desk);
         }
         self.look_last(end, desk)
+    }
+
+    /// Before a look of so many seconds: begins the last turn in its stead where no time would be left for that
+    /// after it.
+    pub(super) fn closes_before(&mut self, look_s: f64, desk: &mut Desk<'_>) -> bool {
+        let Some(end) = desk.end.filter(|_| self.closing == Closing::NotYet) else { return false };
+        let Some(needed_s) = self.last_look_s(desk.config) else { return false };
+        let left_s = (end - desk.now).seconds() - look_s;
+        self.mode != Mode::Teleop
+            && left_s <= needed_s + longest_turn_s()
+            && self.begin_turn(0.0, end, desk)
+    }
+
+    /// How long the last look is thought to take, in seconds; `None` of a laser that takes none.
+    fn last_look_s(&self, config: &AgentConfig) -> Option<f64> {
+        let flowing = config.mission.flowing_sweeps;
+        let sweep_s = self.acquisition.as_ref()?.seconds_for(&Profile::coarse(ROWS_DEG), flowing);
+        Some(config.mission.settle_s + sweep_s + SPARE_S)
     }
 
     /// Takes in a sweep that will not be over in time. It is the last one, whatever was to come after it.
