@@ -5,6 +5,7 @@
 //! with the tilt. *Scan frame*: the sensor frame at zero pan and tilt while the robot stood still;
 //! it is what all rows of one image share.
 
+mod cones;
 mod grid;
 mod image;
 mod line;

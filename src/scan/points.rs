@@ -1,5 +1,6 @@
 //! Range images from organised clouds whose scanner nobody described.
 
+use super::cones::Cones;
 use super::{ImageRow, LaserLine, PointGrid, RangeImage};
 use crate::time::Stamp;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -18,7 +19,12 @@ impl RangeImage {
     /// so that scanners whose columns are not at one bearing in all rows are within half a column.
     /// A cell without a point is [`super::Return::Missing`]: the cloud does not tell whether a beam
     /// was fired there. Rows of fewer than three points, and rows that are no plane, are gaps.
+    ///
+    /// Where each row is a cone instead, as of a scanner that spins, it is a plane in each of many sectors.
     pub fn of_points(grid: &PointGrid) -> Self {
+        if let Some(cones) = Cones::of(grid) {
+            return cones.image(grid, BEYOND_M);
+        }
         let poses: Vec<Option<Isometry3<f64>>> =
             (0..grid.rows()).map(|row| row_pose(grid, row)).collect();
         let bearing_in = |row: usize, column: usize| {
@@ -152,10 +158,11 @@ mod tests {
     }
 
     #[test]
-    fn a_row_that_is_no_plane_is_a_gap() {
-        let cone = (0..30).map(|i| {
-            let (sin, cos) = (0.2 * f32::from(i as u8)).sin_cos();
-            [3.0 * cos, 3.0 * sin, 1.5]
+    fn a_row_that_is_neither_plane_nor_cone_is_a_gap() {
+        // Nor a cone: every other point is higher.
+        let cone = (0..30_u8).map(|i| {
+            let (sin, cos) = (0.2 * f32::from(i)).sin_cos();
+            [3.0 * cos, 3.0 * sin, 1.5 + 0.5 * f32::from(i % 2)]
         });
         let image = RangeImage::of_points(&PointGrid::new(1, 30, cone.collect()));
         assert!(image.rows()[0].stamp.is_none());
