@@ -9,6 +9,7 @@ use super::fork::{Fork, Way};
 use super::graph::GraphConfig;
 use super::landmark::{Landmark, LandmarkId};
 use super::observation::Observation;
+use super::perturbation::pose_error;
 use super::report::{MovedKeyframe, UpdateReport};
 use super::scan_errors::ScanObservations;
 use nalgebra::{Isometry3, Matrix3, Matrix6};
@@ -29,6 +30,9 @@ const DEAD: f64 = 15.0;
 /// Most explanations that are carried, and scans that one may be carried without becoming the best.
 const MOST_HYPOTHESES: usize = 3;
 const LONGEST_BEHIND: usize = 12;
+
+/// An explanation behind the best by less than this counts in what is told of the robot's place.
+const HARDLY_LESS: f64 = 4.0;
 
 /// A scan is not explained at all where its best explanation's logarithm is less.
 const UNEXPLAINED: f64 = -25.0;
@@ -175,6 +179,7 @@ impl Full {
         }
         let mut report = first_report.expect("there is always a branch");
         report.hypotheses = self.hypotheses.len();
+        report.covariance = self.covariance();
         self.tell(&mut report, switched);
         report
     }
@@ -217,9 +222,27 @@ impl Full {
         self.best().last_pose()
     }
 
-    /// Covariance of that pose as a perturbation `[δt; δr]` in the world frame.
+    /// Covariance of that pose as a perturbation `[δt; δr]` in the world frame. What other explanations that are
+    /// hardly less likely say of it counts.
     pub fn covariance(&self) -> Matrix6<f64> {
-        self.best().last_covariance()
+        self.best().last_covariance() + self.spread(|estimate| Some(estimate.last_pose()))
+    }
+
+    /// What is added to the covariance of a pose of the best explanation because others have it elsewhere:
+    /// `Σ wᵢ δᵢ δᵢᵀ`, the mixture's spread about the best.
+    fn spread(&self, pose_in: impl Fn(&Estimate) -> Option<Isometry3<f64>>) -> Matrix6<f64> {
+        let Some(best) = pose_in(self.best()) else { return Matrix6::zeros() };
+        let likely = self.hypotheses.iter().filter(|other| other.log_weight > -HARDLY_LESS);
+        let (mut sum, mut spread) = (0.0, Matrix6::zeros());
+        for other in likely {
+            let weight = other.log_weight.exp();
+            sum += weight;
+            if let Some(pose) = pose_in(&other.estimate) {
+                let off = pose_error(&best, &pose);
+                spread += weight * off * off.transpose();
+            }
+        }
+        spread / sum.max(1.0)
     }
 
     /// The landmarks, by identity.
@@ -239,7 +262,9 @@ impl Full {
 
     /// Covariance of the motion between two scans, as a perturbation in the frame of the first.
     pub fn motion_covariance(&self, first: usize, second: usize) -> Option<Matrix6<f64>> {
-        self.best().motion_covariance(first, second)
+        let motion_in =
+            |estimate: &Estimate| Some(estimate.pose(first)?.inverse() * estimate.pose(second)?);
+        Some(self.best().motion_covariance(first, second)? + self.spread(motion_in))
     }
 
     /// What the planes of a scan were taken for: landmark and observation of each.
@@ -300,5 +325,36 @@ fn hold_back(branches: &mut [Branch]) {
         if refuted <= branch.way.explanation.refuted + TOLERATED_SHARE {
             branch.log_weight = branch.log_weight.min(log_weight - UNPROVEN);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two explanations half a metre apart, the second behind by so much.
+    fn torn(behind: f64) -> Full {
+        let covariance = Matrix6::identity() * 1e-4;
+        let mut full = Full::new(FullConfig::default(), Isometry3::identity(), &covariance);
+        let there = Isometry3::translation(0.5, 0.0, 0.0);
+        full.hypotheses.push(Hypothesis {
+            estimate: Estimate::new(GraphConfig::default(), there, &covariance),
+            log_weight: -behind,
+            behind: 1,
+            carried: false,
+        });
+        full
+    }
+
+    #[test]
+    fn an_explanation_that_is_as_likely_counts_in_what_is_told() {
+        // Of two alike each has half of the weight.
+        let told = torn(0.0).covariance();
+        assert!((told[(0, 0)] - (1e-4 + 0.5 * 0.25)).abs() < 1e-6, "{told}");
+        assert!((told[(1, 1)] - 1e-4).abs() < 1e-6, "{told}");
+        // The less likely it is the less it says, and an unlikely one nothing.
+        let share = (-2.0_f64).exp() / (1.0 + (-2.0_f64).exp());
+        assert!((torn(2.0).covariance()[(0, 0)] - (1e-4 + share * 0.25)).abs() < 1e-6);
+        assert!((torn(5.0).covariance()[(0, 0)] - 1e-4).abs() < 1e-6);
     }
 }
