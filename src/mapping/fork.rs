@@ -180,7 +180,8 @@ impl<'a> Fork<'a> {
             elsewhere |= moved.iter().any(|found| stands_elsewhere(found, &guess));
             weighed.extend(moved);
         }
-        if doubts.of_place() && arrival.attitude.is_none() {
+        let may_lean = doubts.few || doubts.lost || doubts.partial && doubts.displaced;
+        if may_lean && arrival.attitude.is_none() {
             let leant = self.leant(doubts.doubled());
             elsewhere |= leant.iter().any(|found| stands_elsewhere(found, &guess));
             weighed.extend(leant);
