@@ -179,7 +179,7 @@ impl Full {
         }
         let mut report = first_report.expect("there is always a branch");
         report.hypotheses = self.hypotheses.len();
-        report.covariance = self.covariance();
+        report.covariance += self.spread(|estimate| Some(estimate.last_pose()));
         self.tell(&mut report, switched);
         report
     }

@@ -412,8 +412,10 @@ impl Running {
     pub(super) fn look_here(&mut self, desk: &mut Desk<'_>) {
         self.end_nod("the robot stops to look", desk);
         match self.best_look(desk.config) {
-            Some(offer) if self.closes_before(offer.seconds, desk) => {}
             Some(offer) => {
+                if self.closes_before(offer.seconds, desk) {
+                    return;
+                }
                 desk.info(format!("looking: {}", offer.reason));
                 self.settle_calibrated(Look::Sweep(offer.request), desk);
             }

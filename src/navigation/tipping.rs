@@ -12,8 +12,8 @@ const MOST_LEAN_RAD: f64 = 0.3;
 const MORE_LEAN_RAD: f64 = 0.1;
 /// A body that leans by no more than this beyond where it began is down again.
 const DOWN_AGAIN_RAD: f64 = 0.03;
-/// How the wheels turn back: at most so fast, in m/s, and for so long, in seconds. That is less than the way
-/// that they have come.
+/// How the wheels turn back: at most so fast, in m/s, and for so long, in seconds: by less than the margin
+/// that is kept to edges.
 const BACK_MPS: f64 = 0.08;
 const BACK_S: f64 = 1.25;
 

@@ -102,6 +102,8 @@ impl Estimate {
             estimate.solve(report, config, fineness);
         };
         self.take_curves(arrival, &mut report, solve);
+        // What is united was seen when either of the two was.
+        report.loop_closed = self.closes_loop(&report);
         if self.unite_doubles(&mut report) {
             self.solve(&mut report, config, fineness);
             self.redraw_united(&report);

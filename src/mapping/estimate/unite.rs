@@ -32,7 +32,6 @@ impl Estimate {
         let mut seen: Vec<LandmarkId> = report.associations.iter().map(|it| it.landmark).collect();
         seen.sort_unstable();
         seen.dedup();
-        report.loop_closed |= seen.iter().any(|&id| self.closes_loop(id, report.keyframe));
         let mut pairs: Vec<(LandmarkId, LandmarkId)> = Vec::new();
         for id in seen {
             let is_taken = |id| pairs.iter().any(|&(kept, gone)| kept == id || gone == id);
@@ -41,8 +40,8 @@ impl Estimate {
             }
             let Some(landmark) = self.landmark(id) else { continue };
             let others = self.landmarks_about(landmark.hull_points(), 0.0).map(|(other, _)| other);
-            let others = others.filter(|other| other.id != id && !is_taken(other.id));
-            let found = others.into_iter().find(|other| self.are_one(landmark, other));
+            let mut others = others.filter(|other| other.id != id && !is_taken(other.id));
+            let found = others.find(|other| self.are_one(landmark, other));
             pairs.extend(found.map(|other| (id.min(other.id), id.max(other.id))));
         }
         for &(kept, gone) in &pairs {

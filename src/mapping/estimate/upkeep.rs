@@ -57,9 +57,13 @@ impl Estimate {
         report.moved.sort_by_key(|moved| moved.keyframe);
     }
 
-    /// Whether a keyframe that sees a landmark sees it again after a long way.
-    pub(super) fn closes_loop(&self, id: LandmarkId, keyframe: usize) -> bool {
-        self.landmark(id).is_some_and(|it| it.last_keyframe + LOOP_SCANS < keyframe)
+    /// Whether a scan that was taken in sees a landmark again after a long way.
+    pub(super) fn closes_loop(&self, report: &UpdateReport) -> bool {
+        report
+            .associations
+            .iter()
+            .filter_map(|pair| self.landmark(pair.landmark))
+            .any(|landmark| landmark.last_keyframe + LOOP_SCANS < report.keyframe)
     }
 
     /// Extends the landmarks that a scan saw, redraws those whose old sightings slid, and completes
@@ -74,7 +78,6 @@ impl Estimate {
         let slid: Vec<LandmarkId> = moved.into_iter().filter(|&id| self.has_slid(id)).collect();
         for pair in &report.associations {
             let Some(slot) = self.slot(pair.landmark) else { continue };
-            report.loop_closed |= self.closes_loop(pair.landmark, number);
             let landmark = &mut self.landmarks[slot];
             if landmark.last_keyframe != number {
                 landmark.sightings += 1;
