@@ -302,7 +302,6 @@ impl Block {
     fn load(&mut self, field: &Field, lanes: &[u32], (begin, steps): (usize, usize), width: usize) {
         self.width = width;
         for array in [&mut self.inverse, &mut self.sharpness] {
-            array.clear();
             array.resize(steps * width, 0.0);
         }
         self.length.resize(steps * width, 0);
@@ -311,13 +310,18 @@ impl Block {
         let trust = (1.0 / field.errors.run).sqrt() as f32;
         let rows = self.inverse.chunks_exact_mut(width).zip(self.sharpness.chunks_exact_mut(width));
         for (step, (inverse, sharpness)) in (begin..).zip(rows) {
-            let row = step * field.lanes;
-            for (&lane, (inverse, sharpness)) in lanes.iter().zip(inverse.iter_mut().zip(sharpness))
+            let row = step * field.lanes..(step + 1) * field.lanes;
+            let [readings, ranges, gains] = [&field.inverse, &field.range, &field.gain]
+                .map(|array: &Vec<f32>| &array[row.clone()]);
+            for (&lane, (inverse, sharpness)) in
+                lanes.iter().zip(inverse.iter_mut().zip(sharpness.iter_mut()))
             {
-                let cell = row + lane as usize;
-                *inverse = field.inverse[cell];
-                *sharpness = field.gain[cell] * field.range[cell] * trust;
+                let lane = lane as usize;
+                *inverse = readings[lane];
+                *sharpness = ranges[lane] * gains[lane] * trust;
             }
+            inverse[lanes.len()..].fill(0.0);
+            sharpness[lanes.len()..].fill(0.0);
         }
     }
 }
