@@ -202,39 +202,52 @@ impl Field {
     }
 
     /// The angle of each step from the first: tilts need not be evenly spaced.
+    ///
+    /// The beams of a nodding laser go round circles of different sizes, so that what a step is as wide as is
+    /// told in units of each lane's own pitch: otherwise it would depend on which lanes have returns.
     fn measure_positions(&mut self) {
-        self.positions.clear();
         let stride = self.lanes.div_ceil(LANE_SAMPLES).max(1);
-        let mut position = 0.0;
-        // Where the rays of the sampled lanes point at the step before.
+        let Self { x, y, z, inverse, samples, .. } = self;
+        samples.clear();
+        samples.resize(self.steps * LANE_SAMPLES, f32::INFINITY);
+        // Where the rays of the sampled lanes point at the step before, and the sums of their chords.
         let mut before = [None; LANE_SAMPLES];
-        for step in 0..self.steps {
-            let mut squares = [0.0; LANE_SAMPLES];
-            let mut count = 0;
-            let lanes = (stride / 2..self.lanes).step_by(stride);
-            for (lane, before) in lanes.zip(&mut before) {
+        let mut lanes = [(0.0, 0.0); LANE_SAMPLES];
+        for (step, chords) in samples.as_chunks_mut::<LANE_SAMPLES>().0.iter_mut().enumerate() {
+            let sampled = (stride / 2..self.lanes).step_by(stride);
+            let known = before.iter_mut().zip(&mut lanes).zip(chords);
+            for (lane, ((before, (sum, count)), chord)) in sampled.zip(known) {
                 let cell = step * self.lanes + lane;
-                let scale = self.inverse[cell];
-                let ray = [self.x[cell], self.y[cell], self.z[cell]].map(|v| v * scale);
+                let scale = inverse[cell];
+                let ray = [x[cell], y[cell], z[cell]].map(|v| v * scale);
                 let ray = (scale > 0.0).then_some(ray);
                 if let (Some(before), Some(ray)) = (*before, ray) {
-                    squares[count] = square_chord(before, ray);
-                    count += 1;
+                    *chord = square_chord(before, ray).sqrt();
+                    *sum += *chord;
+                    *count += 1.0;
                 }
                 *before = ray;
             }
-            if step == 0 {
-                self.positions.push(position);
-                continue;
+        }
+        let per_pitch = lanes.map(|(sum, count)| if sum > 0.0 { count / sum } else { 1.0 });
+        let along_rad = self.along_rad;
+        let mut position = 0.0;
+        self.positions.clear();
+        for (step, chords) in samples.as_chunks::<LANE_SAMPLES>().0.iter().enumerate() {
+            if step > 0 {
+                let (mut shares, mut count) = ([f32::INFINITY; LANE_SAMPLES], 0);
+                for (&chord, &per_pitch) in chords.iter().zip(&per_pitch) {
+                    shares[count] = chord * per_pitch;
+                    count += usize::from(chord < f32::INFINITY);
+                }
+                let middle = if count == LANE_SAMPLES {
+                    Some(middle_of_nine(shares))
+                } else {
+                    median(&mut shares[..count])
+                };
+                // Equal rows would make filters singular.
+                position += (middle.unwrap_or(1.0) * along_rad).max(0.05 * along_rad).max(1e-6);
             }
-            let middle = if count == LANE_SAMPLES {
-                Some(middle_of_nine(squares))
-            } else {
-                median(&mut squares[..count])
-            };
-            let gap = middle.map_or(self.along_rad, f32::sqrt);
-            // Equal rows would make filters singular.
-            position += gap.max(0.05 * self.along_rad).max(1e-6);
             self.positions.push(position);
         }
     }
