@@ -10,9 +10,10 @@ use super::facets::Facets;
 use super::field::Field;
 use super::fit::{Model, Readings, improve_model, settle_model};
 use super::grow::Grower;
+use super::guess::Guesser;
 use super::noise::ReadingErrors;
 use super::sticks::{Stick, Sticks};
-use nalgebra::{SMatrix, SVector, Vector3};
+use nalgebra::Vector3;
 
 /// Price of a surface in units of the noise variance: its parameters and its outline.
 const PRICE: f64 = 30.0;
@@ -38,27 +39,12 @@ const ROUNDS: usize = 5;
 /// Least cosine of incidence that is believed.
 const LEAST_COSINE: f64 = 0.1;
 
-/// Part of a facet that a guess is fitted to, and how often it is chosen anew.
-const KEPT_SHARE: f64 = 0.7;
-const TRIMS: usize = 3;
-
 /// Most sticks of a facet that a guess looks at, evenly taken.
 const GUESS_STICKS: usize = 20;
-/// Mean square error of the best part of the facets beyond which trimming does not save a guess.
-const HOPELESS: f64 = 40.0;
-
 /// Guesses that are looked at, the largest first: real scans have clutter that falls into any number
 /// of facets, and the cost is to grow with the points alone.
 const FEWEST_GUESSES: usize = 64;
 const CELLS_PER_GUESS: usize = 128;
-
-/// What is guessed.
-enum Guess {
-    /// A cylinder along an axis.
-    Along(Vector3<f64>),
-    /// A sphere.
-    Ball,
-}
 
 /// Whether a stick fits the model at hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,18 +59,13 @@ enum Asked {
 pub(super) struct CurveFinder {
     facets: Facets,
     guesses: Vec<(f64, u32, u32)>,
+    guesser: Guesser,
     readings: Readings,
     set: Vec<u32>,
     refused: Vec<u32>,
     /// What is known of each stick while a set grows.
     asked: Vec<Asked>,
     shares: Vec<(u32, f64)>,
-    bounds: Vec<usize>,
-    weights: Vec<f64>,
-    /// The weights, zero for readings that a guess is not fitted to.
-    kept: Vec<f64>,
-    errors: Vec<f64>,
-    sorted: Vec<f64>,
     trust: ReadingErrors,
     /// Curved surface of each region, where it is one.
     pub models: Vec<Option<Model>>,
@@ -200,90 +181,46 @@ impl CurveFinder {
         limits: &ShapeLimits,
     ) -> Option<(f64, Model)> {
         let [a, b, c] = facets;
-        self.readings.clear();
-        self.bounds.clear();
+        self.guesser.clear();
         for &region in &facets[..if c == b { 2 } else { 3 }] {
-            self.bounds.push(self.readings.len());
             let members = self.facets.sticks(region);
             let stride = members.len().div_ceil(GUESS_STICKS).max(1);
             for &s in members.iter().step_by(stride) {
                 if grower.region_of[s as usize] == region {
-                    push_stick(&mut self.readings, &sticks.sticks[s as usize], &self.trust);
+                    let stick = &sticks.sticks[s as usize];
+                    let gain = stick.weight / common_of_half(stick, &self.trust);
+                    stick.ends.iter().for_each(|&end| self.guesser.push(end, gain));
                 }
             }
-            if self.bounds.last() == Some(&self.readings.len()) {
+            if !self.guesser.end_facet() {
                 return None;
             }
         }
-        self.bounds.push(self.readings.len());
+        self.guesser.prepare();
         let [qa, qb] = [a, b].map(|r| Vector3::from(grower.regions[r as usize].plane.q));
         let axis = qa.cross(&qb).try_normalize(1e-12);
-        let spread = self.readings.principal_axis();
+        let spread = self.guesser.principal_axis();
         let mut best: Option<(f64, Model)> = None;
-        for candidate in [axis.map(Guess::Along), Some(Guess::Along(spread)), Some(Guess::Ball)] {
-            let Some((error, model)) = candidate.and_then(|guess| self.trimmed_fit(&guess)) else {
-                continue;
+        for candidate in [axis.map(Some), Some(Some(spread)), Some(None)].into_iter().flatten() {
+            // Each stick end stands for several readings, so a good guess has an error of one.
+            let enough = best.as_ref().map_or(GUESS_ERROR, |best| best.0);
+            let found = match candidate {
+                Some(axis) => self.guesser.cylinder(axis, enough),
+                None => self.guesser.sphere(enough),
             };
+            let Some((error, model)) = found else { continue };
             let radius_m = match &model {
                 Model::Cylinder { radius_m, .. } | Model::Sphere { radius_m, .. } => *radius_m,
                 Model::Plane { .. } => f64::INFINITY,
             };
-            // Each stick end stands for several readings, so a good guess has an error of one.
             if radius_m <= limits.max_radius_m
                 && facets.iter().all(|&facet| self.facets.may_curve(facet, radius_m.max(SMALL_M)))
-                && error < GUESS_ERROR
-                && best.as_ref().is_none_or(|best| error < best.0)
+                && error < enough
             {
                 best = Some((error, model));
             }
         }
         best
-    }
-
-    /// An algebraic fit to the best part of each facet, and the mean square error of that part: a
-    /// facet may have taken in a stick that is not its own.
-    fn trimmed_fit(&mut self, guess: &Guess) -> Option<(f64, Model)> {
-        let fit = |readings: &Readings, weights: &[f64]| match guess {
-            Guess::Along(axis) => circle_along(readings, weights, axis),
-            Guess::Ball => ball_through(readings, weights),
-        };
-        self.weights.clear();
-        self.weights.extend(self.readings.sigmas.iter().map(|sigma| 1.0 / (sigma * sigma)));
-        self.kept.clone_from(&self.weights);
-        let mut model = fit(&self.readings, &self.kept)?;
-        let mut mean = f64::INFINITY;
-        for _ in 0..TRIMS {
-            let readings = &self.readings;
-            self.errors.clear();
-            self.errors.extend((0..readings.len()).map(|i| {
-                model.error(&readings.points[i], &readings.rays[i], readings.sigmas[i]).powi(2)
-            }));
-            let (mut sum, mut count, mut changed) = (0.0, 0.0, false);
-            for bounds in self.bounds.windows(2) {
-                let part = bounds[0]..bounds[1];
-                self.sorted.clear();
-                self.sorted.extend_from_slice(&self.errors[part.clone()]);
-                let last = (KEPT_SHARE * (part.len() - 1) as f64).ceil() as usize;
-                let limit = *self.sorted.select_nth_unstable_by(last, f64::total_cmp).1;
-                for i in part {
-                    let kept = if self.errors[i] <= limit { 1.0 } else { 0.0 };
-                    changed |= self.kept[i] != kept * self.weights[i];
-                    self.kept[i] = kept * self.weights[i];
-                    sum += kept * self.errors[i];
-                    count += kept;
-                }
-            }
-            mean = sum / count;
-            if mean > HOPELESS {
-                return None;
-            }
-            if !changed {
-                // What is fitted to the same readings is the same.
-                break;
-            }
-            model = fit(&self.readings, &self.kept)?;
-        }
-        Some((mean, model))
     }
 
     /// Grows a guess and installs it if it is worth its price.
@@ -427,9 +364,14 @@ impl CurveFinder {
     }
 }
 
+/// Variance of the mean of half a stick's readings in units of what it were if each had its own error.
+fn common_of_half(stick: &Stick, errors: &ReadingErrors) -> f64 {
+    errors.mean_variance(0.5 * stick.n) * 0.5 * stick.n
+}
+
 /// Adds a stick as two readings whose noise is that of half its cells.
 fn push_stick(readings: &mut Readings, stick: &Stick, errors: &ReadingErrors) {
-    let common = errors.mean_variance(0.5 * stick.n) * 0.5 * stick.n;
+    let common = common_of_half(stick, errors);
     for end in stick.ends {
         let range = Vector3::from(end).norm();
         let sigma = range * (common / stick.weight).sqrt();
@@ -463,54 +405,4 @@ fn fits(model: &Model, stick: &Stick, errors: &ReadingErrors) -> bool {
 
 fn stick_error(model: &Model, stick: &Stick) -> f64 {
     stick.ends.iter().map(|&end| stick.weight * deviation(model, end).powi(2)).sum()
-}
-
-/// The cylinder along `axis` whose circle fits the readings algebraically.
-fn circle_along(readings: &Readings, weights: &[f64], axis: &Vector3<f64>) -> Option<Model> {
-    let mut helper = Vector3::zeros();
-    helper[axis.iamin()] = 1.0;
-    let e1 = axis.cross(&helper).normalize();
-    let e2 = axis.cross(&e1);
-    let centroid = readings.centroid();
-    let rows = readings.points.iter().map(|p| {
-        let d = p - centroid;
-        let (a, b) = (e1.dot(&d), e2.dot(&d));
-        ([2.0 * a, 2.0 * b, 1.0], a * a + b * b)
-    });
-    let solution = least_squares(rows, weights)?;
-    let radius_m = (solution.z + solution.x * solution.x + solution.y * solution.y).sqrt();
-    let foot = centroid + e1 * solution.x + e2 * solution.y;
-    radius_m.is_finite().then_some(Model::Cylinder { foot, axis: *axis, radius_m })
-}
-
-/// The sphere that fits the readings algebraically.
-fn ball_through(readings: &Readings, weights: &[f64]) -> Option<Model> {
-    let centroid = readings.centroid();
-    let rows = readings.points.iter().map(|p| {
-        let d = p - centroid;
-        ([2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0], d.norm_squared())
-    });
-    let solution = least_squares(rows, weights)?;
-    let radius_m = (solution.w + solution.xyz().norm_squared()).sqrt();
-    radius_m.is_finite().then_some(Model::Sphere { centre: centroid + solution.xyz(), radius_m })
-}
-
-/// What solves weighted equations, each a row of factors and what they are to add up to, best. A weight of
-/// zero leaves one out.
-fn least_squares<const N: usize>(
-    equations: impl Iterator<Item = ([f64; N], f64)>,
-    weights: &[f64],
-) -> Option<SVector<f64, N>> {
-    // The decomposition looks at the lower triangle alone.
-    let mut normal = SMatrix::<f64, N, N>::zeros();
-    let mut right = SVector::<f64, N>::zeros();
-    for ((row, value), &weight) in equations.zip(weights) {
-        for a in 0..N {
-            for b in 0..=a {
-                normal[(a, b)] += row[a] * row[b] * weight;
-            }
-            right[a] += row[a] * (value * weight);
-        }
-    }
-    Some(normal.cholesky()?.solve(&right))
 }

@@ -20,6 +20,7 @@ mod field;
 mod fill;
 mod fit;
 mod grow;
+mod guess;
 mod hull;
 mod merge;
 mod moments;

@@ -28,7 +28,7 @@ pub(super) use unevenness::{Blocks, Common, Unevenness};
 
 use round::RayColumns;
 
-use nalgebra::{Matrix3, Matrix4, Matrix5, Point3, SMatrix, SVector, Unit, Vector3};
+use nalgebra::{Matrix4, Matrix5, Point3, SMatrix, SVector, Unit, Vector3};
 
 /// Least cosine of the angle of incidence that weights believe in: beyond 87° the error is no
 /// longer that of the range but of the ray's angle.
@@ -182,25 +182,6 @@ impl Readings {
             if (d - axis * axis.dot(&d)).dot(ray) > 0.0 { 1 } else { -1 }
         });
         outwards.sum::<i32>() > 0
-    }
-
-    /// The direction in which the points extend most.
-    pub fn principal_axis(&self) -> Vector3<f64> {
-        let eigen = self.covariance(&self.centroid()).symmetric_eigen();
-        eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned()
-    }
-
-    /// Scatter about the centroid, divided by the number of points.
-    fn covariance(&self, centroid: &Vector3<f64>) -> Matrix3<f64> {
-        let sum: Matrix3<f64> = self
-            .points
-            .iter()
-            .map(|p| {
-                let d = p - centroid;
-                d * d.transpose()
-            })
-            .sum();
-        sum / self.len().max(1) as f64
     }
 }
 
