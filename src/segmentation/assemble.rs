@@ -328,8 +328,8 @@ impl Assembler {
             return FittedRegion { unevenness, ..fitted(Fitted::Plane(plane), &sums) };
         }
         if let Some(model) = model {
-            let cells = self.components.cells(component);
-            gather(field, cells, &self.fit_gain, &mut self.readings);
+            let columns = columns(field, &self.fit_gain);
+            self.readings.gather_runs(columns, &field.range, self.components.runs(component));
             let (limits, errors) = (&config.limits, &field.errors);
             if let Some(shape) = settle_known(&self.readings, model, limits, errors, error) {
                 let square_m2 = mean_square_distance(&self.readings, &shape);
@@ -391,8 +391,7 @@ impl Assembler {
     fn sum_up(&mut self, field: &Field, component: usize, q: [f64; 3]) -> PlaneSums {
         let cell = self.middle(component);
         let reference = Reference::new(q, field.point(cell));
-        let Field { x, y, z, inverse, gain, .. } = field;
-        let columns = Columns { x, y, z, inverse, gain, fit_gain: &self.fit_gain };
+        let columns = columns(field, &self.fit_gain);
         let runs = (self.components.runs(component), field.lanes);
         self.blocks.sum_up(reference, columns, runs, &mut self.packed)
     }
@@ -418,13 +417,14 @@ impl Assembler {
         let belongs = |cell: usize| self.components.of_cell[cell] == component as u32;
         let axes = candidate_axes(field, cells.clone(), count, belongs);
         let stride = count.div_ceil(TRIAL_CELLS).max(1);
-        gather(field, cells.clone().step_by(stride), &self.fit_gain, &mut self.readings);
+        let columns = columns(field, &self.fit_gain);
+        self.readings.gather(columns, &field.range, cells.step_by(stride));
         let (chosen, _) = choose(&mut self.readings, &axes, &config.limits, &field.errors);
         if matches!(chosen, Fitted::Plane(_)) {
             return chosen;
         }
         if stride > 1 {
-            gather(field, cells, &self.fit_gain, &mut self.readings);
+            self.readings.gather_runs(columns, &field.range, self.components.runs(component));
         }
         settle(&self.readings, chosen, &config.limits, &field.errors).unwrap_or_else(|| {
             fit_plane(&mut self.readings).map_or(Fitted::Other, |(plane, _)| Fitted::Plane(plane))
@@ -577,16 +577,8 @@ fn reject(
     result.rejected.push(Rejected { points, reason: text });
 }
 
-/// Gathers the readings of cells.
-fn gather(
-    field: &Field,
-    cells: impl Iterator<Item = usize>,
-    fit_gain: &[f32],
-    readings: &mut Readings,
-) {
-    readings.clear();
-    for cell in cells {
-        let (inverse, sigma) = (f64::from(field.inverse[cell]), field.sigma_m(cell));
-        readings.push(field.point(cell), inverse, sigma, fit_gain[cell] > 0.0);
-    }
+/// What fits read of a field.
+fn columns<'a>(field: &'a Field, fit_gain: &'a [f32]) -> Columns<'a> {
+    let Field { x, y, z, inverse, gain, .. } = field;
+    Columns { x, y, z, inverse, gain, fit_gain }
 }

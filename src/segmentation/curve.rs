@@ -239,10 +239,8 @@ impl CurveFinder {
                 break;
             }
             before = self.set.len();
-            self.readings.clear();
-            for &s in &self.set {
-                push_stick(&mut self.readings, &sticks.sticks[s as usize], &self.trust);
-            }
+            let set = self.set.iter().map(|&s| &sticks.sticks[s as usize]);
+            self.readings.gather_points(set.flat_map(|stick| readings_of(stick, &self.trust)));
             let refined = improve_model(&self.readings, &model);
             let Some(refined) = refined else { return };
             model = refined;
@@ -369,14 +367,10 @@ fn common_of_half(stick: &Stick, errors: &ReadingErrors) -> f64 {
     errors.mean_variance(0.5 * stick.n) * 0.5 * stick.n
 }
 
-/// Adds a stick as two readings whose noise is that of half its cells.
-fn push_stick(readings: &mut Readings, stick: &Stick, errors: &ReadingErrors) {
-    let common = common_of_half(stick, errors);
-    for end in stick.ends {
-        let range = Vector3::from(end).norm();
-        let sigma = range * (common / stick.weight).sqrt();
-        readings.push(end, 1.0 / range, sigma, true);
-    }
+/// A stick as two points whose standard deviations are those of half its cells.
+fn readings_of(stick: &Stick, errors: &ReadingErrors) -> [([f64; 3], f64); 2] {
+    let per_range = (common_of_half(stick, errors) / stick.weight).sqrt();
+    stick.ends.map(|end| (end, Vector3::from(end).norm() * per_range))
 }
 
 /// Error of an end of a stick, relative to the range.

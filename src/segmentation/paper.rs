@@ -11,7 +11,7 @@ use super::components::Components;
 use super::config::{PaperConfig, SegmentationConfig};
 use super::field::Field;
 use super::fill::flood_fill;
-use super::fit::{Fitted, Model, Readings, choose};
+use super::fit::{Columns, Fitted, Model, Readings, choose};
 use super::merge::Merger;
 use super::moments::Moments;
 use super::morphology::Morphology;
@@ -121,12 +121,10 @@ impl PaperChain {
                 self.models.push(None);
                 continue;
             }
-            self.readings.clear();
             let cells = self.components.cells(component);
-            for cell in cells.clone() {
-                let sigma = field.sigma_m(cell);
-                self.readings.push(field.point(cell), f64::from(field.inverse[cell]), sigma, true);
-            }
+            let Field { x, y, z, inverse, gain, .. } = field;
+            let columns = Columns { x, y, z, inverse, gain, fit_gain: gain };
+            self.readings.gather_runs(columns, &field.range, self.components.runs(component));
             let belongs = |c: usize| self.components.of_cell[c] == component as u32;
             let axes = candidate_axes(field, cells, count, belongs);
             let (fitted, _) = choose(&mut self.readings, &axes, &config.limits, &field.errors);

@@ -4,6 +4,7 @@ use super::super::config::ShapeLimits;
 use super::super::noise::ReadingErrors;
 use super::cylinder::{CylinderFit, fit_cylinder, improve_cylinder, settle_cylinder};
 use super::plane::fit_plane;
+use super::reach::{beyond_arc, beyond_cap, heights};
 use super::round::{capped_error_of, mean_square_distance_of};
 use super::sphere::{SphereFit, fit_sphere, improve_sphere, settle_sphere};
 use super::{CAP, Fitted, Model, PlaneFit, Readings};
@@ -200,14 +201,13 @@ fn capped_error(readings: &Readings, model: &Model) -> f64 {
         Model::Sphere { centre, radius_m } => sphere::round_of(centre, *radius_m),
         Model::Cylinder { foot, axis, radius_m } => cylinder::round_of(foot, axis, *radius_m),
         Model::Plane { .. } => {
-            let errors = (0..readings.len()).map(|i| {
-                let (point, ray) = (&readings.points[i], &readings.rays[i]);
-                model.error(point, ray, readings.sigmas[i])
-            });
+            let errors = readings
+                .every(1)
+                .map(|(point, ray, per_sigma)| model.error(&point, &ray, 1.0 / per_sigma));
             return errors.map(|e| (e * e).min(CAP * CAP)).sum();
         }
     };
-    capped_error_of(&readings.rays_by_column, round)
+    capped_error_of(readings, round)
 }
 
 /// Mean square of the distances of the readings from a sphere or a cylinder, in m²; `None` for others.
@@ -219,7 +219,7 @@ pub(in super::super) fn mean_square_distance(readings: &Readings, fitted: &Fitte
         }
         Fitted::Plane(_) | Fitted::Other => return None,
     };
-    Some(mean_square_distance_of(&readings.rays_by_column, round))
+    Some(mean_square_distance_of(readings, round))
 }
 
 /// Whether `count` errors on a plane, whose squares cut at [`CAP`]² sum up to `error`, are not those
@@ -270,14 +270,7 @@ fn sphere_is_seen(
     }
     let middle = (readings.centroid() - sphere.centre).normalize();
     let outside = limits.min_cap_deg.to_radians().cos();
-    let beyond = readings
-        .points
-        .iter()
-        .filter(|p| {
-            let radial = *p - sphere.centre;
-            radial.dot(&middle) < outside * radial.norm()
-        })
-        .count();
+    let beyond = beyond_cap(readings, &sphere.centre, &middle, outside);
     beyond * 20 >= readings.len()
 }
 
@@ -299,24 +292,11 @@ fn cylinder_is_seen(
     };
     let middle = radial(&readings.centroid());
     let side = cylinder.axis.cross(&middle);
-    let (sine, cosine) = (0.5 * limits.min_arc_deg.to_radians()).sin_cos();
+    let half_arc = (0.5 * limits.min_arc_deg.to_radians()).sin_cos();
     // Each side of the middle must reach half the arc, which is a right angle at most, with 2 % of
     // the readings.
-    let (mut left, mut right) = (0, 0);
-    for p in &readings.points {
-        let d = p - cylinder.foot;
-        let (across, along) = (side.dot(&d), middle.dot(&d));
-        let beyond = across.abs() * cosine > along * sine;
-        left += usize::from(beyond && across > 0.0);
-        right += usize::from(beyond && across < 0.0);
-    }
+    let [left, right] = beyond_arc(readings, &cylinder.foot, [&middle, &side], half_arc);
     left * 50 >= readings.len() && right * 50 >= readings.len()
-}
-
-/// Least and greatest coordinate of the readings along an axis.
-fn heights(readings: &Readings, axis: &Vector3<f64>) -> (f64, f64) {
-    let heights = readings.points.iter().map(|p| axis.dot(p));
-    heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)))
 }
 
 /// The cylinder with the extent of the readings along its axis.

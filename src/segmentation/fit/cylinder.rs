@@ -2,7 +2,7 @@
 
 use super::plane::largest_positive;
 use super::round::{Round, RoundSums, sum_round};
-use super::{CONVERGED, FEW_ROUNDS, Model, Phase, RAY_ROUNDS, Readings, START_READINGS, STRAY};
+use super::{CONVERGED, FEW_ROUNDS, Model, Phase, RAY_ROUNDS, Readings, STRAY};
 use nalgebra::{Matrix3, Matrix5, Vector3};
 
 const ROUNDS: usize = 10;
@@ -94,8 +94,7 @@ fn circle_across(
     let (e1, e2) = across(&axis);
     let mut normal = Matrix3::<f64>::zeros();
     let mut right = Vector3::<f64>::zeros();
-    let stride = readings.len().div_ceil(START_READINGS).max(1);
-    let points = || readings.points.iter().step_by(stride);
+    let points = || readings.every(readings.start_stride()).map(|(p, ..)| p);
     for p in points() {
         let d = p - centroid;
         let (a, b) = (e1.dot(&d), e2.dot(&d));
@@ -107,7 +106,7 @@ fn circle_across(
     let radius_m = (solution.z + solution.x * solution.x + solution.y * solution.y).sqrt();
     let foot = centroid + e1 * solution.x + e2 * solution.y;
     let model = Model::Cylinder { foot, axis, radius_m };
-    let mean_square = points().map(|p| model.distance(p).0.powi(2)).sum::<f64>();
+    let mean_square = points().map(|p| model.distance(&p).0.powi(2)).sum::<f64>();
     mean_square.is_finite().then_some(Start { axis, foot, radius_m, mean_square })
 }
 
@@ -135,8 +134,7 @@ fn refine(
         axis = largest_positive(axis);
         let (e1, e2) = across(&axis);
         let round = Round { hollow, ..round_of(&foot, &axis, radius_m) };
-        let RoundSums { normal, square, count } =
-            sum_round::<5>(&readings.rays_by_column, round, phase, stride);
+        let RoundSums { normal, square, count } = sum_round::<5>(readings, round, phase, stride);
         let (normal, right) = (normal.normal(), normal.right());
         let Some(decomposed) = normal.cholesky() else { break };
         let correction = decomposed.solve(&right);

@@ -9,6 +9,8 @@ mod choose;
 mod cylinder;
 mod packed;
 mod plane;
+mod reach;
+mod readings;
 mod round;
 mod sphere;
 mod sums;
@@ -20,13 +22,12 @@ pub(super) use choose::{
 pub(super) use cylinder::across;
 pub(super) use packed::Packed;
 pub(super) use plane::{PlaneFit, centroid_of, fit_plane, plane_of};
+pub(super) use readings::Readings;
 pub(super) use sums::{
     Columns, PlaneSums, Reference,
     place::{ERROR as SUMMED_ERROR, SQUARE as SUMMED_SQUARE},
 };
 pub(super) use unevenness::{Blocks, Common, Unevenness};
-
-use round::RayColumns;
 
 use nalgebra::{Matrix4, Matrix5, Point3, SMatrix, SVector, Unit, Vector3};
 
@@ -83,7 +84,7 @@ impl Phase {
         match self {
             Self::Gated => 1,
             Self::Rays if round >= THIN_RAY_ROUNDS => 1,
-            Self::Start | Self::Rays => readings.len().div_ceil(START_READINGS).max(1),
+            Self::Start | Self::Rays => readings.start_stride(),
         }
     }
 }
@@ -119,69 +120,6 @@ impl<const N: usize> NormalSums<N> {
 
     fn right(&self) -> SVector<f64, N> {
         SVector::from(self.right)
-    }
-}
-
-/// The readings of one region, gathered so that fits run over plain arrays.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Readings {
-    pub points: Vec<Vector3<f64>>,
-    /// Unit vectors of the rays.
-    pub rays: Vec<Vector3<f64>>,
-    /// Standard deviation of each range in metres.
-    pub sigmas: Vec<f64>,
-    /// Whether a plane is fitted to the reading. Which region a reading at a border to another surface
-    /// belongs to was decided by its error, so it would bias a fit.
-    pub core: Vec<bool>,
-    /// Coordinates, inverse ranges and gains as the sums of a plane read them.
-    columns: [Vec<f32>; 6],
-    packed: Packed,
-    /// Points, rays and deviations once more, as the rounds of an iteration read them.
-    rays_by_column: RayColumns,
-}
-
-impl Readings {
-    pub fn clear(&mut self) {
-        self.points.clear();
-        self.rays.clear();
-        self.sigmas.clear();
-        self.core.clear();
-        self.rays_by_column.clear();
-    }
-
-    #[inline]
-    pub fn push(&mut self, point: [f64; 3], inverse: f64, sigma: f64, core: bool) {
-        let point = Vector3::from(point);
-        let ray = point * inverse;
-        self.points.push(point);
-        self.rays.push(ray);
-        self.rays_by_column.push(point.into(), ray.into(), sigma);
-        self.sigmas.push(sigma);
-        self.core.push(core);
-    }
-
-    pub fn len(&self) -> usize {
-        self.points.len()
-    }
-
-    /// Ranges over their standard deviations.
-    fn gains(&self) -> impl Iterator<Item = f64> + '_ {
-        (0..self.len()).map(|i| self.points[i].dot(&self.rays[i]) / self.sigmas[i])
-    }
-
-    pub fn centroid(&self) -> Vector3<f64> {
-        self.points.iter().sum::<Vector3<f64>>() / self.len().max(1) as f64
-    }
-
-    /// Whether most readings are of the inner side of a cylinder about `axis` through `foot`, or of a sphere
-    /// about `foot`, for which the axis is zero: their rays go outwards where they end.
-    fn are_within(&self, foot: &Vector3<f64>, axis: &Vector3<f64>) -> bool {
-        let stride = self.len().div_ceil(START_READINGS).max(1);
-        let outwards = self.points.iter().zip(&self.rays).step_by(stride).map(|(p, ray)| {
-            let d = p - foot;
-            if (d - axis * axis.dot(&d)).dot(ray) > 0.0 { 1 } else { -1 }
-        });
-        outwards.sum::<i32>() > 0
     }
 }
 

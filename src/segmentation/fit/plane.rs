@@ -1,7 +1,7 @@
 //! The plane: weighted least squares of the ranges, with its covariance.
 
 use super::super::moments::Moments;
-use super::sums::{Columns, PlaneSums, Reference, place};
+use super::sums::{PlaneSums, Reference, place};
 use super::{GATED_VARIANCE, Model, Readings};
 use nalgebra::{
     Isometry3, Matrix2, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3,
@@ -186,27 +186,14 @@ fn frame_of(sums: &PlaneSums) -> Option<Frame> {
 
 /// Fits a plane; `None` for readings that span no line.
 pub(in super::super) fn fit_plane(readings: &mut Readings) -> Option<(PlaneFit, f64)> {
-    let first = readings.points.first()?;
+    let (first, ..) = readings.every(1).next()?;
     let mut moments = Moments::default();
-    for (point, gain) in readings.points.iter().zip(readings.gains()) {
-        moments.add_point((*point).into(), gain * gain);
+    for (point, gain) in readings.gains() {
+        moments.add_point(point.into(), gain * gain);
     }
-    let reference = Reference::new(moments.solve(), (*first).into());
-    let [x, y, z, inverse, gain, fit_gain] = &mut readings.columns;
-    for column in [&mut *x, &mut *y, &mut *z, &mut *inverse, &mut *gain, &mut *fit_gain] {
-        column.clear();
-    }
-    for i in 0..readings.points.len() {
-        let (point, range) = (readings.points[i], readings.points[i].dot(&readings.rays[i]));
-        x.push(point.x as f32);
-        y.push(point.y as f32);
-        z.push(point.z as f32);
-        inverse.push((1.0 / range) as f32);
-        gain.push((range / readings.sigmas[i]) as f32);
-        fit_gain.push(if readings.core[i] { (range / readings.sigmas[i]) as f32 } else { 0.0 });
-    }
-    let columns = Columns { x, y, z, inverse, gain, fit_gain };
-    let sums = PlaneSums::over_few(reference, columns, &mut readings.packed);
+    let reference = Reference::new(moments.solve(), first.into());
+    let (columns, packed) = readings.for_plane();
+    let sums = PlaneSums::over_few(reference, columns, packed);
     Some((plane_of(&sums)?, sums.totals[place::ERROR]))
 }
 

@@ -3,46 +3,9 @@
 //!
 //! A sphere is taken as a cylinder whose axis is zero: all that differs is what its parameters move.
 
+use super::readings::{BLOCK, Readings};
 use super::{CAP, LEAST_COSINE, NormalSums, Phase, RIM_COSINE};
 use pulp::{Arch, Scalar128b, Simd, WithSimd};
-
-/// Readings that are kept together; as many as the vectors of any processor can share.
-const BLOCK: usize = 8;
-
-/// Readings by coordinate: points, rays and one over the standard deviation of the range, of which the
-/// last block's places without a reading have zero.
-#[derive(Clone, Debug, Default)]
-pub(super) struct RayColumns {
-    blocks: Vec<Block>,
-    count: usize,
-}
-
-/// Columns of some readings, aligned as vectors are.
-#[derive(Clone, Copy, Debug)]
-#[repr(C, align(32))]
-struct Block([[f32; BLOCK]; 7]);
-
-impl RayColumns {
-    pub fn clear(&mut self) {
-        self.blocks.clear();
-        self.count = 0;
-    }
-
-    #[inline]
-    pub fn push(&mut self, point: [f64; 3], ray: [f64; 3], sigma: f64) {
-        let place = self.count % BLOCK;
-        if place == 0 {
-            self.blocks.push(Block([[0.0; BLOCK]; 7]));
-        }
-        self.count += 1;
-        let ([x, y, z], [u, v, w]) = (point, ray);
-        if let Some(block) = self.blocks.last_mut() {
-            for (column, value) in block.0.iter_mut().zip([x, y, z, u, v, w, 1.0 / sigma]) {
-                column[place] = value as f32;
-            }
-        }
-    }
-}
 
 /// A sphere about `foot`, or a cylinder about the line through `foot` along the unit vector `axis`.
 #[derive(Clone, Copy, Debug)]
@@ -73,25 +36,26 @@ pub(super) struct RoundSums<const N: usize> {
 /// the axis by a and tilting it by b (per metre of height) moves it at a reading by a + height b; the
 /// distance falls by that along the normal, and by the radius.
 pub(super) fn sum_round<const N: usize>(
-    columns: &RayColumns,
+    readings: &Readings,
     round: Round,
     phase: Phase,
     stride: usize,
 ) -> RoundSums<N> {
-    run(Sum::<N> { columns, round, phase, stride })
+    run(Sum::<N> { readings, round, phase, stride })
 }
 
 /// Sum of the squared errors across a surface, each cut at [`CAP`].
-pub(super) fn capped_error_of(columns: &RayColumns, round: Round) -> f64 {
-    run(Capped { columns, round })
+pub(super) fn capped_error_of(readings: &Readings, round: Round) -> f64 {
+    run(Capped { readings, round })
 }
 
 /// Mean square of the distances from a surface, in m².
-pub(super) fn mean_square_distance_of(columns: &RayColumns, round: Round) -> f64 {
-    run(Distances { columns, round }) / columns.count.max(1) as f64
+pub(super) fn mean_square_distance_of(readings: &Readings, round: Round) -> f64 {
+    run(Distances { readings, round }) / readings.len().max(1) as f64
 }
 
-fn run<W: WithSimd>(work: W) -> W::Output {
+/// Does work with the vectors of the processor.
+pub(super) fn run<W: WithSimd>(work: W) -> W::Output {
     match Arch::new() {
         Arch::Scalar => Scalar128b.vectorize(work),
         arch => arch.dispatch(work),
@@ -99,60 +63,56 @@ fn run<W: WithSimd>(work: W) -> W::Output {
 }
 
 struct Sum<'a, const N: usize> {
-    columns: &'a RayColumns,
+    readings: &'a Readings,
     round: Round,
     phase: Phase,
     stride: usize,
 }
 
 struct Capped<'a> {
-    columns: &'a RayColumns,
+    readings: &'a Readings,
     round: Round,
 }
 
 struct Distances<'a> {
-    columns: &'a RayColumns,
+    readings: &'a Readings,
     round: Round,
 }
 
 /// A vector of readings; places without one have zeros.
 #[derive(Clone, Copy)]
-struct Readings<V> {
+struct Vectors<V> {
     point: [V; 3],
     ray: [V; 3],
     per_sigma: V,
 }
 
-/// A vector of a block.
 #[inline(always)]
-fn load<S: Simd>(Block(block): &Block, at: usize) -> Readings<S::f32s> {
-    let [x, y, z, u, v, w, per_sigma] = block;
-    Readings {
-        point: [one::<S>(x, at), one::<S>(y, at), one::<S>(z, at)],
-        ray: [one::<S>(u, at), one::<S>(v, at), one::<S>(w, at)],
-        per_sigma: one::<S>(per_sigma, at),
-    }
+fn vectors<V>([x, y, z, u, v, w, per_sigma]: [V; 7]) -> Vectors<V> {
+    Vectors { point: [x, y, z], ray: [u, v, w], per_sigma }
 }
 
+/// A vector in space in every place.
 #[inline(always)]
-fn one<S: Simd>(column: &[f32; BLOCK], at: usize) -> S::f32s {
-    S::as_simd_f32s(column).0[at]
-}
-
-#[inline(always)]
-fn splat<S: Simd>(simd: S, [x, y, z]: [f64; 3]) -> [S::f32s; 3] {
+pub(super) fn splat<S: Simd>(simd: S, [x, y, z]: [f64; 3]) -> [S::f32s; 3] {
     [simd.splat_f32s(x as f32), simd.splat_f32s(y as f32), simd.splat_f32s(z as f32)]
 }
 
+/// Scalar products.
 #[inline(always)]
-fn dot<S: Simd>(simd: S, a: [S::f32s; 3], b: [S::f32s; 3]) -> S::f32s {
+pub(super) fn dot<S: Simd>(simd: S, a: [S::f32s; 3], b: [S::f32s; 3]) -> S::f32s {
     let xy = simd.mul_add_e_f32s(a[0], b[0], simd.mul_f32s(a[1], b[1]));
     simd.mul_add_e_f32s(a[2], b[2], xy)
 }
 
 /// `a - b · factor`.
 #[inline(always)]
-fn less<S: Simd>(simd: S, a: [S::f32s; 3], b: [S::f32s; 3], factor: S::f32s) -> [S::f32s; 3] {
+pub(super) fn less<S: Simd>(
+    simd: S,
+    a: [S::f32s; 3],
+    b: [S::f32s; 3],
+    factor: S::f32s,
+) -> [S::f32s; 3] {
     [
         simd.sub_f32s(a[0], simd.mul_f32s(b[0], factor)),
         simd.sub_f32s(a[1], simd.mul_f32s(b[1], factor)),
@@ -204,7 +164,7 @@ struct Seen<V> {
 fn across<S: Simd>(
     simd: S,
     surface: &Splat<S::f32s>,
-    readings: &Readings<S::f32s>,
+    readings: &Vectors<S::f32s>,
     bends: bool,
 ) -> Seen<S::f32s> {
     let d = less(simd, readings.point, surface.foot, surface.one);
@@ -236,7 +196,7 @@ fn across<S: Simd>(
 fn along<S: Simd>(
     simd: S,
     surface: &Splat<S::f32s>,
-    readings: &Readings<S::f32s>,
+    readings: &Vectors<S::f32s>,
 ) -> (Seen<S::f32s>, S::m32s) {
     let lengthwise = dot(simd, surface.axis, readings.ray);
     let sideways = less(simd, readings.ray, surface.axis, lengthwise);
@@ -269,7 +229,7 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> RoundSums<N> {
-        let Self { columns, round, phase, stride } = self;
+        let Self { readings, round, phase, stride } = self;
         let surface = spread(simd, &round);
         let [e1, e2, e3] = round.sides;
         let sides = [splat(simd, e1), splat(simd, e2), splat(simd, e3)];
@@ -279,9 +239,15 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
         let mut products = [[zero; N]; N];
         let mut right = [zero; N];
         let (mut square, mut count) = (zero, zero);
-        for block in columns.blocks.iter().step_by(stride) {
-            for at in 0..BLOCK / S::F32_LANES {
-                let readings = load::<S>(block, at);
+        let columns = readings.vectors::<S>();
+        let (end, per_block) = (columns[0].len(), BLOCK / S::F32_LANES);
+        for first in (0..end).step_by(stride * per_block) {
+            for i in first..first + per_block {
+                if i >= end {
+                    // Never so: they are whole blocks, which the compiler does not know.
+                    break;
+                }
+                let readings = vectors(columns.map(|column| column[i]));
                 let mut counts = simd.greater_than_f32s(readings.per_sigma, zero);
                 let seen = if phase == Phase::Rays {
                     let (seen, meets) = along(simd, &surface, &readings);
@@ -337,19 +303,18 @@ impl WithSimd for Capped<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let Self { columns, round } = self;
+        let Self { readings, round } = self;
         let surface = spread(simd, &round);
         let mut sum = simd.splat_f32s(0.0);
-        for block in &columns.blocks {
-            for at in 0..BLOCK / S::F32_LANES {
-                let readings = load::<S>(block, at);
-                let seen = across(simd, &surface, &readings, false);
-                // Nothing where there is no reading.
-                let error = simd.mul_f32s(seen.error_m, readings.per_sigma);
-                let square =
-                    simd.min_f32s(simd.mul_f32s(error, error), simd.splat_f32s((CAP * CAP) as f32));
-                sum = simd.add_f32s(sum, square);
-            }
+        let columns = readings.vectors::<S>();
+        for i in 0..columns[0].len() {
+            let readings = vectors(columns.map(|column| column[i]));
+            let seen = across(simd, &surface, &readings, false);
+            // Nothing where there is no reading.
+            let error = simd.mul_f32s(seen.error_m, readings.per_sigma);
+            let square =
+                simd.min_f32s(simd.mul_f32s(error, error), simd.splat_f32s((CAP * CAP) as f32));
+            sum = simd.add_f32s(sum, square);
         }
         f64::from(simd.reduce_sum_f32s(sum))
     }
@@ -360,19 +325,18 @@ impl WithSimd for Distances<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> f64 {
-        let Self { columns, round } = self;
+        let Self { readings, round } = self;
         let surface = spread(simd, &round);
         let zero = simd.splat_f32s(0.0);
         let mut sum = zero;
-        for block in &columns.blocks {
-            for at in 0..BLOCK / S::F32_LANES {
-                let readings = load::<S>(block, at);
-                let seen = across(simd, &surface, &readings, false);
-                let distance = simd.mul_f32s(seen.error_m, seen.cosine);
-                let counts = simd.greater_than_f32s(readings.per_sigma, zero);
-                let distance = simd.select_f32s(counts, distance, zero);
-                sum = simd.mul_add_e_f32s(distance, distance, sum);
-            }
+        let columns = readings.vectors::<S>();
+        for i in 0..columns[0].len() {
+            let readings = vectors(columns.map(|column| column[i]));
+            let seen = across(simd, &surface, &readings, false);
+            let distance = simd.mul_f32s(seen.error_m, seen.cosine);
+            let counts = simd.greater_than_f32s(readings.per_sigma, zero);
+            let distance = simd.select_f32s(counts, distance, zero);
+            sum = simd.mul_add_e_f32s(distance, distance, sum);
         }
         f64::from(simd.reduce_sum_f32s(sum))
     }

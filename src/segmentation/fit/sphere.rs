@@ -52,7 +52,7 @@ fn refine(
         phase = Phase::of(round, rounds, phase);
         let stride = phase.stride(round, readings);
         let round = Round { hollow, ..round_of(&centre, radius_m) };
-        let sums = sum_round::<4>(&readings.rays_by_column, round, phase, stride);
+        let sums = sum_round::<4>(readings, round, phase, stride);
         let RoundSums { normal, square, count } = sums;
         let (normal, right) = (normal.normal(), normal.right());
         let Some(decomposed) = normal.cholesky() else { break };
@@ -93,7 +93,7 @@ pub(super) fn round_of(centre: &Vector3<f64>, radius_m: f64) -> Round {
 fn algebraic(readings: &Readings, centroid: &Vector3<f64>) -> Option<(Vector3<f64>, f64)> {
     let mut normal = Matrix4::<f64>::zeros();
     let mut right = Vector4::<f64>::zeros();
-    for p in &readings.points {
+    for (p, ..) in readings.every(1) {
         let d = p - centroid;
         let row = Vector4::new(2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0);
         normal += row * row.transpose();

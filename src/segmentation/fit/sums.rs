@@ -28,9 +28,16 @@ pub(in super::super) struct Columns<'a> {
 }
 
 impl<'a> Columns<'a> {
+    /// What they have of a cell.
+    #[inline]
+    pub fn reading(&self, cell: usize) -> [f32; COLUMNS] {
+        let Self { x, y, z, inverse, gain, fit_gain } = self;
+        [x, y, z, inverse, gain, fit_gain].map(|column| column[cell])
+    }
+
     /// All of them, of one length that the compiler knows to be one.
     #[inline(always)]
-    fn all(&self) -> ([&'a [f32]; COLUMNS], usize) {
+    pub(super) fn all(&self) -> ([&'a [f32]; COLUMNS], usize) {
         let Self { x, y, z, inverse, gain, fit_gain } = *self;
         let length = x.len();
         ([x, y, z, inverse, gain, fit_gain].map(|column| &column[..length]), length)
