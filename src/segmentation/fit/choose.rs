@@ -4,7 +4,7 @@ use super::super::config::ShapeLimits;
 use super::super::noise::ReadingErrors;
 use super::cylinder::{CylinderFit, fit_cylinder, improve_cylinder, settle_cylinder};
 use super::plane::fit_plane;
-use super::reach::{beyond_arc, beyond_cap, heights};
+use super::reach::{are_within, beyond_arc, beyond_cap, heights};
 use super::round::{capped_error_of, mean_square_distance_of};
 use super::sphere::{SphereFit, fit_sphere, improve_sphere, settle_sphere};
 use super::{CAP, Fitted, Model, PlaneFit, Readings};
@@ -180,12 +180,12 @@ pub(in super::super) fn settle_model(
         Model::Sphere { centre, radius_m } => {
             let fit = settle_sphere(readings, (*centre, *radius_m))?;
             let common =
-                fit.radius_m <= LARGE_M && !readings.are_within(&fit.centre, &Vector3::zeros());
+                fit.radius_m <= LARGE_M && !are_within(readings, &fit.centre, &Vector3::zeros());
             (common || sphere_is_seen(readings, &fit, limits, errors)).then(|| fit.model())
         }
         Model::Cylinder { foot, axis, radius_m } => {
             let fit = settle_cylinder(readings, (*foot, *axis, *radius_m))?;
-            let common = fit.radius_m <= LARGE_M && !readings.are_within(&fit.foot, &fit.axis);
+            let common = fit.radius_m <= LARGE_M && !are_within(readings, &fit.foot, &fit.axis);
             (common || cylinder_is_seen(readings, &fit, limits, errors)).then(|| fit.model())
         }
     }

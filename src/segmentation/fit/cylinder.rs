@@ -1,6 +1,7 @@
 //! The circular cylinder of any axis: starts from candidate axes, then Gauss-Newton on the distance.
 
 use super::plane::largest_positive;
+use super::reach::are_within;
 use super::round::{Round, RoundSums, sum_round};
 use super::{CONVERGED, FEW_ROUNDS, Model, Phase, RAY_ROUNDS, Readings, STRAY};
 use nalgebra::{Matrix3, Matrix5, Vector3};
@@ -126,7 +127,7 @@ fn refine(
 ) -> Option<CylinderFit> {
     let Start { mut axis, mut foot, mut radius_m, .. } = start;
     // Rounds along the rays are so from the first one on.
-    let hollow = phase == Phase::Rays && readings.are_within(&foot, &axis);
+    let hollow = phase == Phase::Rays && are_within(readings, &foot, &axis);
     let mut last = None;
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);

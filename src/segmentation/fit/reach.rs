@@ -1,13 +1,19 @@
 //! How far readings reach along an axis and round a sphere or a cylinder.
 
 use super::Readings;
-use super::round::{dot, less, run, splat};
+use super::round::{Vectors, dot, less, run, some_of, splat, vectors};
 use nalgebra::Vector3;
 use pulp::{Simd, WithSimd};
 
 /// Least and greatest coordinate of the readings along an axis.
 pub(super) fn heights(readings: &Readings, axis: &Vector3<f64>) -> (f64, f64) {
     run(Heights { readings, axis: (*axis).into() })
+}
+
+/// Whether most readings are of the inner side of a cylinder about `axis` through `foot`, or of a sphere
+/// about `foot`, for which the axis is zero: their rays go outwards where they end. Some blocks of them tell.
+pub(super) fn are_within(readings: &Readings, foot: &Vector3<f64>, axis: &Vector3<f64>) -> bool {
+    run(Outwards { readings, foot: (*foot).into(), axis: (*axis).into() }) > 0.0
 }
 
 /// Number of readings that are seen from `centre` at an angle of more than that of a cosine from the
@@ -35,6 +41,12 @@ pub(super) fn beyond_arc(
 
 struct Heights<'a> {
     readings: &'a Readings,
+    axis: [f64; 3],
+}
+
+struct Outwards<'a> {
+    readings: &'a Readings,
+    foot: [f64; 3],
     axis: [f64; 3],
 }
 
@@ -69,6 +81,30 @@ impl WithSimd for Heights<'_> {
             high = simd.max_f32s(high, simd.select_f32s(there, height, high));
         }
         (f64::from(simd.reduce_min_f32s(low)), f64::from(simd.reduce_max_f32s(high)))
+    }
+}
+
+impl WithSimd for Outwards<'_> {
+    /// Those that go outwards less those that do not.
+    type Output = f32;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> f32 {
+        let columns = self.readings.vectors::<S>();
+        let (foot, axis) = (splat(simd, self.foot), splat(simd, self.axis));
+        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+        let mut excess = zero;
+        for i in some_of::<S>(columns[0].len(), self.readings.start_stride()) {
+            let Vectors { point, ray, per_sigma } = vectors(columns.map(|column| column[i]));
+            let there = simd.greater_than_f32s(per_sigma, zero);
+            let there = simd.select_f32s(there, one, zero);
+            let d = less(simd, point, foot, one);
+            let radial = less(simd, d, axis, dot(simd, axis, d));
+            let outwards = simd.greater_than_f32s(dot(simd, radial, ray), zero);
+            let vote = simd.select_f32s(outwards, there, simd.neg_f32s(there));
+            excess = simd.add_f32s(excess, vote);
+        }
+        simd.reduce_sum_f32s(excess)
     }
 }
 

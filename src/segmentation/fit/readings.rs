@@ -154,16 +154,6 @@ impl Readings {
     pub(super) fn start_stride(&self) -> usize {
         self.count.div_ceil(START_READINGS).max(1)
     }
-
-    /// Whether most readings are of the inner side of a cylinder about `axis` through `foot`, or of a sphere
-    /// about `foot`, for which the axis is zero: their rays go outwards where they end.
-    pub(super) fn are_within(&self, foot: &Vector3<f64>, axis: &Vector3<f64>) -> bool {
-        let outwards = self.every(self.start_stride()).map(|(p, ..)| {
-            let d = p - foot;
-            if (d - axis * axis.dot(&d)).dot(&p) > 0.0 { 1 } else { -1 }
-        });
-        outwards.sum::<i32>() > 0
-    }
 }
 
 /// Rays and deviations of whole blocks, and the sum of their points.

@@ -81,15 +81,24 @@ struct Distances<'a> {
 
 /// A vector of readings; places without one have zeros.
 #[derive(Clone, Copy)]
-struct Vectors<V> {
-    point: [V; 3],
-    ray: [V; 3],
-    per_sigma: V,
+pub(super) struct Vectors<V> {
+    pub point: [V; 3],
+    pub ray: [V; 3],
+    pub per_sigma: V,
 }
 
+/// From columns.
 #[inline(always)]
-fn vectors<V>([x, y, z, u, v, w, per_sigma]: [V; 7]) -> Vectors<V> {
+pub(super) fn vectors<V>([x, y, z, u, v, w, per_sigma]: [V; 7]) -> Vectors<V> {
     Vectors { point: [x, y, z], ray: [u, v, w], per_sigma }
+}
+
+/// Places of the vectors of every so-many-th block, of so many vectors.
+#[inline(always)]
+pub(super) fn some_of<S: Simd>(end: usize, stride: usize) -> impl Iterator<Item = usize> {
+    let per_block = BLOCK / S::F32_LANES;
+    // Blocks are whole, which the compiler does not know.
+    (0..end).step_by(stride * per_block).flat_map(move |i| i..(i + per_block).min(end))
 }
 
 /// A vector in space in every place.
@@ -240,50 +249,43 @@ impl<const N: usize> WithSimd for Sum<'_, N> {
         let mut right = [zero; N];
         let (mut square, mut count) = (zero, zero);
         let columns = readings.vectors::<S>();
-        let (end, per_block) = (columns[0].len(), BLOCK / S::F32_LANES);
-        for first in (0..end).step_by(stride * per_block) {
-            for i in first..first + per_block {
-                if i >= end {
-                    // Never so: they are whole blocks, which the compiler does not know.
-                    break;
-                }
-                let readings = vectors(columns.map(|column| column[i]));
-                let mut counts = simd.greater_than_f32s(readings.per_sigma, zero);
-                let seen = if phase == Phase::Rays {
-                    let (seen, meets) = along(simd, &surface, &readings);
-                    counts = simd.and_m32s(counts, meets);
-                    seen
-                } else {
-                    across(simd, &surface, &readings, true)
-                };
-                let error = simd.mul_f32s(seen.error_m, readings.per_sigma);
-                let inside = simd.less_than_or_equal_f32s(simd.abs_f32s(error), gate);
-                counts = simd.and_m32s(counts, inside);
-                if phase != Phase::Start {
-                    let steep = simd.greater_than_or_equal_f32s(seen.cosine, rim);
-                    counts = simd.and_m32s(counts, steep);
-                }
-                let error = simd.select_f32s(counts, error, zero);
-                let scale = simd.div_f32s(readings.per_sigma, seen.cosine);
-                let mut derivatives = [zero; N];
-                for k in 0..if N == 4 { 3 } else { 2 } {
-                    let moved = simd.mul_f32s(dot(simd, seen.normal, sides[k]), scale);
-                    derivatives[k] = simd.select_f32s(counts, moved, zero);
-                    if N == 5 {
-                        let tilted = simd.mul_f32s(seen.height, moved);
-                        derivatives[k + 2] = simd.select_f32s(counts, tilted, zero);
-                    }
-                }
-                derivatives[N - 1] = simd.select_f32s(counts, scale, zero);
-                for (a, &own) in derivatives.iter().enumerate() {
-                    for (sum, &other) in products[a].iter_mut().zip(&derivatives).skip(a) {
-                        *sum = simd.mul_add_e_f32s(own, other, *sum);
-                    }
-                    right[a] = simd.mul_add_e_f32s(own, error, right[a]);
-                }
-                square = simd.mul_add_e_f32s(error, error, square);
-                count = simd.add_f32s(count, simd.select_f32s(counts, surface.one, zero));
+        for i in some_of::<S>(columns[0].len(), stride) {
+            let readings = vectors(columns.map(|column| column[i]));
+            let mut counts = simd.greater_than_f32s(readings.per_sigma, zero);
+            let seen = if phase == Phase::Rays {
+                let (seen, meets) = along(simd, &surface, &readings);
+                counts = simd.and_m32s(counts, meets);
+                seen
+            } else {
+                across(simd, &surface, &readings, true)
+            };
+            let error = simd.mul_f32s(seen.error_m, readings.per_sigma);
+            let inside = simd.less_than_or_equal_f32s(simd.abs_f32s(error), gate);
+            counts = simd.and_m32s(counts, inside);
+            if phase != Phase::Start {
+                let steep = simd.greater_than_or_equal_f32s(seen.cosine, rim);
+                counts = simd.and_m32s(counts, steep);
             }
+            let error = simd.select_f32s(counts, error, zero);
+            let scale = simd.div_f32s(readings.per_sigma, seen.cosine);
+            let mut derivatives = [zero; N];
+            for k in 0..if N == 4 { 3 } else { 2 } {
+                let moved = simd.mul_f32s(dot(simd, seen.normal, sides[k]), scale);
+                derivatives[k] = simd.select_f32s(counts, moved, zero);
+                if N == 5 {
+                    let tilted = simd.mul_f32s(seen.height, moved);
+                    derivatives[k + 2] = simd.select_f32s(counts, tilted, zero);
+                }
+            }
+            derivatives[N - 1] = simd.select_f32s(counts, scale, zero);
+            for (a, &own) in derivatives.iter().enumerate() {
+                for (sum, &other) in products[a].iter_mut().zip(&derivatives).skip(a) {
+                    *sum = simd.mul_add_e_f32s(own, other, *sum);
+                }
+                right[a] = simd.mul_add_e_f32s(own, error, right[a]);
+            }
+            square = simd.mul_add_e_f32s(error, error, square);
+            count = simd.add_f32s(count, simd.select_f32s(counts, surface.one, zero));
         }
         let mut normal = NormalSums { products: [[0.0; N]; N], right: [0.0; N] };
         for (a, (row, lanes)) in normal.products.iter_mut().zip(&products).enumerate() {

@@ -1,5 +1,6 @@
 //! The sphere: an algebraic start, then Gauss-Newton on the distance.
 
+use super::reach::are_within;
 use super::round::{Round, RoundSums, sum_round};
 use super::{CONVERGED, FEW_ROUNDS, Model, Phase, RAY_ROUNDS, Readings, STRAY};
 use nalgebra::{Matrix4, Vector3, Vector4};
@@ -46,7 +47,7 @@ fn refine(
     rounds: usize,
 ) -> Option<SphereFit> {
     // Rounds along the rays are so from the first one on.
-    let hollow = phase == Phase::Rays && readings.are_within(&centre, &Vector3::zeros());
+    let hollow = phase == Phase::Rays && are_within(readings, &centre, &Vector3::zeros());
     let mut last = None;
     for round in 0..rounds {
         phase = Phase::of(round, rounds, phase);
@@ -93,7 +94,7 @@ pub(super) fn round_of(centre: &Vector3<f64>, radius_m: f64) -> Round {
 fn algebraic(readings: &Readings, centroid: &Vector3<f64>) -> Option<(Vector3<f64>, f64)> {
     let mut normal = Matrix4::<f64>::zeros();
     let mut right = Vector4::<f64>::zeros();
-    for (p, ..) in readings.every(1) {
+    for (p, ..) in readings.every(readings.start_stride()) {
         let d = p - centroid;
         let row = Vector4::new(2.0 * d.x, 2.0 * d.y, 2.0 * d.z, 1.0);
         normal += row * row.transpose();
