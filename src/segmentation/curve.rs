@@ -240,7 +240,7 @@ impl CurveFinder {
             }
             before = self.set.len();
             let set = self.set.iter().map(|&s| &sticks.sticks[s as usize]);
-            self.readings.gather_points(set.flat_map(|stick| readings_of(stick, &self.trust)));
+            self.readings.gather_pairs(set.map(|stick| readings_of(stick, &self.trust)));
             let refined = improve_model(&self.readings, &model);
             let Some(refined) = refined else { return };
             model = refined;
@@ -283,27 +283,29 @@ impl CurveFinder {
         while at < self.set.len() {
             let stick = self.set[at];
             at += 1;
-            for s in sticks.around(stick).into_iter().flatten() {
-                let asked = &mut self.asked[s as usize];
-                if *asked != Asked::Not {
-                    continue;
-                }
-                let region = grower.region_of[s as usize];
-                let owner = grower.regions[region as usize].moments.n;
-                if self.models[region as usize].is_some()
-                    || (region != 0 && owner >= UNTOUCHABLE * readings)
-                {
-                    continue;
-                }
-                let other = &sticks.sticks[s as usize];
-                if fits(model, other, &self.trust) {
-                    self.set.push(s);
-                    *asked = Asked::Fits;
-                    readings += other.n;
-                } else {
-                    // Several of the set touch it.
-                    self.refused.push(s);
-                    *asked = Asked::Refused;
+            for range in sticks.around(stick) {
+                for s in range {
+                    let asked = &mut self.asked[s as usize];
+                    if *asked != Asked::Not {
+                        continue;
+                    }
+                    let region = grower.region_of[s as usize];
+                    let owner = grower.regions[region as usize].moments.n;
+                    if self.models[region as usize].is_some()
+                        || (region != 0 && owner >= UNTOUCHABLE * readings)
+                    {
+                        continue;
+                    }
+                    let other = &sticks.sticks[s as usize];
+                    if fits(model, other, &self.trust) {
+                        self.set.push(s);
+                        *asked = Asked::Fits;
+                        readings += other.n;
+                    } else {
+                        // Several of the set touch it.
+                        self.refused.push(s);
+                        *asked = Asked::Refused;
+                    }
                 }
             }
         }
@@ -391,9 +393,10 @@ fn fits(model: &Model, stick: &Stick, errors: &ReadingErrors) -> bool {
             return (deviation(model, end) * stick.root_gain).abs() < gate;
         };
         // As the deviation has it, times the distance from the axis or the centre: nothing is divided.
-        let length = radial.norm();
-        let incidence = radial.dot(&p).abs().max(LEAST_COSINE * p.norm() * length);
-        (length - radius_m).abs() * length * stick.root_gain < gate * incidence
+        let (length, bound) = (radial.norm(), gate * radial.dot(&p).abs());
+        let error = (length - radius_m).abs() * length * stick.root_gain;
+        // Whether less than the cosine of incidence is believed is only asked where that decides.
+        error < bound || error < gate * LEAST_COSINE * p.norm() * length
     })
 }
 

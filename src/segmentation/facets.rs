@@ -45,23 +45,16 @@ impl Facets {
         }
         self.left.clear();
         self.left.extend_from_slice(&self.starts[1..]);
-        list(&mut self.starts, &mut self.sticks, |put| {
-            for (stick, &region) in grower.region_of.iter().enumerate() {
-                put(region, stick as u32);
-            }
-        });
+        let members = grower.region_of.iter().zip(0..).map(|(&region, stick)| (region, stick));
+        list(&mut self.starts, &mut self.sticks, members);
         self.near_starts.clear();
         self.near_starts.resize(count + 1, 0);
         for &(a, b) in &grower.merger.pairs {
             self.near_starts[a as usize + 1] += 1;
             self.near_starts[b as usize + 1] += 1;
         }
-        list(&mut self.near_starts, &mut self.near, |put| {
-            for &(a, b) in &grower.merger.pairs {
-                put(a, b);
-                put(b, a);
-            }
-        });
+        let near = grower.merger.pairs.iter().flat_map(|&(a, b)| [(a, b), (b, a)]);
+        list(&mut self.near_starts, &mut self.near, near);
         self.sizes.clear();
         for (region, grown) in grower.regions.iter().enumerate() {
             let mut size = Size::of(&grown.moments);
@@ -152,18 +145,19 @@ impl Size {
     }
 }
 
-/// Turns counts, each one place after its list, into starts, and fills the lists.
-fn list(starts: &mut [usize], items: &mut Vec<u32>, fill: impl Fn(&mut dyn FnMut(u32, u32))) {
+/// Turns counts, each one place after its list, into starts, and fills the lists with what is given with the
+/// list that it belongs to.
+fn list(starts: &mut [usize], items: &mut Vec<u32>, given: impl Iterator<Item = (u32, u32)>) {
     for k in 1..starts.len() {
         starts[k] += starts[k - 1];
     }
     items.clear();
     items.resize(starts.last().copied().unwrap_or(0), 0);
-    fill(&mut |list, item| {
+    for (list, item) in given {
         let start = &mut starts[list as usize];
         items[*start] = item;
         *start += 1;
-    });
+    }
     // Each start has moved to its list's end, which is the next list's start.
     for k in (1..starts.len()).rev() {
         starts[k] = starts[k - 1];
@@ -180,11 +174,7 @@ mod tests {
     #[test]
     fn lists_are_filled_in_order() {
         let (mut starts, mut items) = (vec![0, 2, 0, 1], Vec::new());
-        list(&mut starts, &mut items, |put| {
-            put(2, 7);
-            put(0, 8);
-            put(0, 9);
-        });
+        list(&mut starts, &mut items, [(2, 7), (0, 8), (0, 9)].into_iter());
         assert_eq!((starts, items), (vec![0, 2, 2, 3], vec![8, 9, 7]));
     }
 

@@ -92,11 +92,12 @@ pub(in super::super) fn settle_known(
             .map(|sphere| sphere.model()),
         Model::Plane { .. } | Model::Sphere { .. } => None,
     };
-    let cost = |model: &Model| {
+    let cost = |error: f64, model: &Model| {
         let worth = (model.parameters() - PLANE_PARAMETERS) * (readings.len() as f64).ln();
-        capped_error(readings, model) / errors.patch + worth
+        error / errors.patch + worth
     };
-    let model = ball.as_ref().filter(|ball| cost(ball) < cost(model)).unwrap_or(model);
+    let now = |model: &Model| cost(capped_error(readings, model), model);
+    let model = ball.as_ref().filter(|ball| now(ball) < now(model)).unwrap_or(model);
     let start = match *model {
         Model::Plane { .. } => return None,
         Model::Sphere { centre, radius_m } => {
@@ -106,19 +107,9 @@ pub(in super::super) fn settle_known(
             bounded(readings, CylinderFit { foot, axis, radius_m, covariance: Matrix5::zeros() })
         }
     };
-    let fitted = settle(readings, start, limits, errors)?;
-    let settled = match &fitted {
-        Fitted::Sphere { centre, radius_m, .. } => {
-            Model::Sphere { centre: centre.coords, radius_m: *radius_m }
-        }
-        Fitted::Cylinder { axis_point, axis, radius_m, .. } => Model::Cylinder {
-            foot: axis_point.coords,
-            axis: axis.into_inner(),
-            radius_m: *radius_m,
-        },
-        Fitted::Plane(_) | Fitted::Other => return None,
-    };
-    (cost(&settled) < flat / errors.patch).then_some(fitted)
+    let (fitted, error) = settle_with_error(readings, start, limits, errors)?;
+    let is_curved = matches!(fitted, Fitted::Sphere { .. } | Fitted::Cylinder { .. });
+    (is_curved && cost(error, model) < flat / errors.patch).then_some(fitted)
 }
 
 /// The shape that a part of the readings chose, settled on all of them along their rays; `None` where
@@ -129,6 +120,16 @@ pub(in super::super) fn settle(
     limits: &ShapeLimits,
     errors: &ReadingErrors,
 ) -> Option<Fitted> {
+    settle_with_error(readings, chosen, limits, errors).map(|(fitted, _)| fitted)
+}
+
+/// The same, and the sum of the squared errors of a sphere or a cylinder, each cut at [`CAP`].
+fn settle_with_error(
+    readings: &Readings,
+    chosen: Fitted,
+    limits: &ShapeLimits,
+    errors: &ReadingErrors,
+) -> Option<(Fitted, f64)> {
     let (fitted, model) = match chosen {
         Fitted::Sphere { centre, radius_m, .. } => {
             let sphere = settle_sphere(readings, (centre.coords, radius_m))?;
@@ -148,10 +149,11 @@ pub(in super::super) fn settle(
                 model,
             )
         }
-        Fitted::Plane(_) | Fitted::Other => return Some(chosen),
+        Fitted::Plane(_) | Fitted::Other => return Some((chosen, 0.0)),
     };
-    let mean_square = capped_error(readings, &model) / readings.len() as f64;
-    Some(if mean_square > limits.max_mean_square { Fitted::Other } else { fitted })
+    let error = capped_error(readings, &model);
+    let mean_square = error / readings.len() as f64;
+    Some((if mean_square > limits.max_mean_square { Fitted::Other } else { fitted }, error))
 }
 
 /// A sphere or cylinder, refined by a few rounds of errors across it.

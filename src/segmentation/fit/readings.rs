@@ -56,21 +56,24 @@ impl Readings {
         self.derive();
     }
 
-    /// Takes points that are no cells, with their standard deviations along the ray. No plane is fitted to
-    /// them.
-    pub fn gather_points(&mut self, points: impl Iterator<Item = ([f64; 3], f64)>) {
+    /// Takes pairs of points that are no cells, with their standard deviations along the ray. No plane is
+    /// fitted to them.
+    pub fn gather_pairs(&mut self, pairs: impl Iterator<Item = [([f64; 3], f64); 2]>) {
         self.clear();
         self.rays.iter_mut().for_each(Vec::clear);
         let mut sum = Vector3::zeros();
-        for (point, sigma) in points {
-            let point = Vector3::from(point);
-            let ray = point * (1.0 / point.norm());
-            sum += point;
+        for pair in pairs {
+            let rays = pair.map(|(point, _)| {
+                let point = Vector3::from(point);
+                sum += point;
+                point * (1.0 / point.norm())
+            });
+            let [(first, sigma), (second, other)] = pair;
             for k in 0..3 {
-                self.columns[k].push(point[k] as f32);
-                self.rays[k].push(ray[k] as f32);
+                self.columns[k].extend_from_slice(&[first[k] as f32, second[k] as f32]);
+                self.rays[k].extend_from_slice(&[rays[0][k] as f32, rays[1][k] as f32]);
             }
-            self.per_sigma.push((1.0 / sigma) as f32);
+            self.per_sigma.extend_from_slice(&[(1.0 / sigma) as f32, (1.0 / other) as f32]);
         }
         let end = self.fill_up();
         self.rays.iter_mut().for_each(|ray| ray.resize(end, 0.0));
