@@ -77,7 +77,6 @@ pub(super) struct Competition {
     pub border: Vec<u32>,
     /// The labels that they had when they were first settled.
     pub before: Vec<u32>,
-    at_border: Vec<bool>,
     front: Vec<u32>,
     /// The plane of each label, and of those without a return; no numbers where there is none.
     planes: Vec<[f32; 3]>,
@@ -90,16 +89,7 @@ pub(super) struct Competition {
 impl Competition {
     /// Settles the borders of `labels`; `rivals` stand at their label.
     pub fn settle(&mut self, field: &Field, rivals: &[Rival], labels: &mut [u32]) {
-        self.at_border.resize(field.len(), false);
-        for &cell in &self.border {
-            if let Some(at_border) = self.at_border.get_mut(cell as usize) {
-                *at_border = false;
-            }
-        }
-        self.borders.find(labels, field.lanes, &mut self.border);
-        for &cell in &self.border {
-            self.at_border[cell as usize] = true;
-        }
+        self.borders.find(labels, (field.lanes, rivals.len()), &mut self.border);
         self.before.clear();
         self.before.extend(self.border.iter().map(|&cell| labels[cell as usize]));
         self.planes.clear();
@@ -110,7 +100,7 @@ impl Competition {
         self.planes.push(NO_PLANE);
         self.planes[0] = NO_PLANE;
         let Self { front, border, planes, borders, .. } = self;
-        let leads = &borders.leads;
+        let leads = borders.leads();
         Arch::new().dispatch(ListOpen { field, labels, planes, border, leads, front });
         self.settle_front(field, rivals, labels);
     }
@@ -135,7 +125,7 @@ impl Competition {
             if has_changed.is_some_and(|&changed| changed) {
                 let near = neighbours8(cell as usize, field.lanes, field.len());
                 for n in near.chain([cell as usize]) {
-                    if self.at_border[n] && !self.queued[n] {
+                    if self.borders.is_listed(n) && !self.queued[n] {
                         self.queued[n] = true;
                         self.front.push(n as u32);
                     }
@@ -187,8 +177,8 @@ impl Competition {
                     if !self.queued[n] {
                         self.queued[n] = true;
                         self.front.push(n as u32);
-                        if !self.at_border[n] {
-                            self.at_border[n] = true;
+                        if !self.borders.is_listed(n) {
+                            self.borders.add(n);
                             self.border.push(n as u32);
                             self.before.push(labels[n]);
                         }
@@ -212,7 +202,7 @@ struct ListOpen<'a> {
     planes: &'a [[f32; 3]],
     border: &'a [u32],
     /// Neighbours of each cell at a border with its label less those with another.
-    leads: &'a [f32],
+    leads: &'a [u8],
     front: &'a mut Vec<u32>,
 }
 
@@ -223,8 +213,9 @@ impl WithSimd for ListOpen<'_> {
     fn with_simd<S: Simd>(self, _: S) {
         let Self { field, labels, planes, border, leads, front } = self;
         // Of one length, so that one comparison bounds them all.
-        let [x, y, z, gain, leads] = [&field.x, &field.y, &field.z, &field.gain, leads]
-            .map(|array: &[f32]| &array[..labels.len()]);
+        let [x, y, z, gain] =
+            [&field.x, &field.y, &field.z, &field.gain].map(|array| &array[..labels.len()]);
+        let leads = &leads[..labels.len()];
         front.resize(border.len(), 0);
         let mut count = 0;
         for &listed in border {
@@ -232,7 +223,7 @@ impl WithSimd for ListOpen<'_> {
             let cell = listed as usize;
             let [qx, qy, qz] = planes[(labels[cell] as usize).min(planes.len() - 1)];
             let e = (qx * x[cell] + qy * y[cell] + qz * z[cell] - 1.0) * gain[cell];
-            let is_kept = e * e - LEAST_GAIN <= DISAGREEMENT * leads[cell];
+            let is_kept = e * e - LEAST_GAIN <= DISAGREEMENT * f32::from(leads[cell] as i8);
             // What is no number is not below anything.
             count += usize::from(!is_kept);
         }

@@ -6,6 +6,7 @@
 //! its points.
 
 mod absorb;
+mod around;
 mod assemble;
 mod axes;
 mod borders;

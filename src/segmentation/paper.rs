@@ -153,8 +153,8 @@ impl PaperChain {
                 self.moments[label as usize].add_point(field.point(cell), weight);
             }
         }
-        self.borders.find(labels, field.lanes, &mut self.border);
         let count = self.moments.len();
+        self.borders.find(labels, (field.lanes, count), &mut self.border);
         self.merger.pairs_of_labels(labels, count, field.lanes, &field.rim, &self.border);
         let flat = &self.flat;
         self.merger.merge(&mut self.moments, &field.errors, |label| flat[label as usize - 1]);
