@@ -2,7 +2,7 @@
 
 use super::Stage;
 use super::axes::candidate_axes;
-use super::components::{Components, NONE, fill_ahead};
+use super::components::{BORDER, Components, fill_ahead};
 use super::config::SegmentationConfig;
 use super::doubt::{Doubts, square};
 use super::field::Field;
@@ -16,6 +16,7 @@ use super::stick_chain::Found;
 use super::surface::{Cylinder, PlanePatch, Rejected, Segmentation, Shape, Sphere, Surface};
 use super::unevenness::{UnevenPlanes, common};
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
+use pulp::{Arch, Simd, WithSimd};
 use std::fmt::Write as _;
 
 /// Rejected regions smaller than this share one line: a scan has hundreds of them.
@@ -57,13 +58,6 @@ const PARTINGS: usize = 4;
 pub(super) struct Assembler {
     components: Components,
     doubts: Doubts,
-    /// Cells, each once, among which are all at which labels meet.
-    borders: Vec<u32>,
-    /// Cells at borders, with their components.
-    border: Vec<(u32, u32)>,
-    /// Cells at a border, one count for each component, and whether it can spare them.
-    border_cells: Vec<usize>,
-    can_spare: Vec<bool>,
     /// Gains of the cells, zero at borders of regions that can spare them.
     fit_gain: Vec<f32>,
     readings: Readings,
@@ -136,10 +130,8 @@ impl Assembler {
     ) {
         self.recycle(result);
         (result.rows, result.columns) = (rows, columns);
-        self.components.find(labels, field.lanes);
+        self.components.find(labels, (field.lanes, found.moments.len()));
         self.number_regions(field, config, result);
-        self.borders.clear();
-        self.borders.extend_from_slice(found.border);
         self.fit_regions(field, config, labels, Known { found: &found, parts: &[] });
         if self.fitted.iter().any(|region| region.doubtful) {
             let mut doubts = std::mem::take(&mut self.doubts);
@@ -150,7 +142,8 @@ impl Assembler {
                 }
                 self.spare_reasons
                     .extend(result.rejected.drain(..).map(|rejected| rejected.reason));
-                self.components.find(&doubts.labels, field.lanes);
+                let count = found.moments.len() + doubts.planes.len();
+                self.components.find(&doubts.labels, (field.lanes, count));
                 self.number_regions(field, config, result);
                 let known = Known { found: &found, parts: &doubts.planes };
                 self.fit_regions(field, config, &doubts.labels, known);
@@ -271,14 +264,9 @@ impl Assembler {
                 let (normal, offset_m) = plane.equation();
                 let q = (normal / offset_m).into();
                 if doubts.part(field, &self.components, *component, q, known) {
-                    self.borders.extend(self.components.cells(*component).map(|cell| cell as u32));
                     parted = true;
                 }
             }
-        }
-        if parted {
-            self.borders.sort_unstable();
-            self.borders.dedup();
         }
         parted
     }
@@ -357,32 +345,15 @@ impl Assembler {
     /// was decided by their error, so they would bias a fit. Small regions keep theirs.
     fn leave_borders_out(&mut self, field: &Field) {
         let components = &self.components;
-        self.border_cells.clear();
-        self.border_cells.resize(components.len(), 0);
-        // Most are beside another component or none, but which ones are is hard to foretell.
-        self.border.resize(self.borders.len(), (0, NONE));
-        let mut count = 0;
-        for &cell in &self.borders {
-            let component = components.of_cell[cell as usize];
-            self.border[count] = (cell, component);
-            let is_border = !components.is_core(cell as usize, field);
-            count += usize::from((component != NONE) & is_border);
-        }
-        self.border.truncate(count);
-        for &(_, component) in &self.border {
-            self.border_cells[component as usize] += 1;
-        }
-        self.can_spare.clear();
-        self.can_spare.extend(self.border_cells.iter().zip(&components.sizes).map(
-            |(border, &all)| {
-                let core = all - border;
-                core >= FEWEST_CORE && core as f64 >= LEAST_CORE_SHARE * all as f64
-            },
-        ));
-        self.fit_gain.clone_from(&field.gain);
-        for &(cell, component) in &self.border {
-            if self.can_spare[component as usize] {
-                self.fit_gain[cell as usize] = 0.0;
+        self.fit_gain.resize(field.len(), 0.0);
+        let (borders, fit_gain) = (components.borders(), &mut self.fit_gain[..]);
+        Arch::new().dispatch(LeaveOut { borders, gain: &field.gain, fit_gain });
+        for (component, &all) in components.sizes.iter().enumerate() {
+            let core = all - components.border_cells[component];
+            if core < FEWEST_CORE || (core as f64) < LEAST_CORE_SHARE * all as f64 {
+                for run in components.runs(component) {
+                    self.fit_gain[run.clone()].copy_from_slice(&field.gain[run]);
+                }
             }
         }
     }
@@ -414,7 +385,7 @@ impl Assembler {
     ) -> Fitted {
         let cells = self.components.cells(component);
         let count = self.components.sizes[component];
-        let belongs = |cell: usize| self.components.of_cell[cell] == component as u32;
+        let belongs = |cell: usize| self.components.of(cell) == Some(component);
         let axes = candidate_axes(field, cells.clone(), count, belongs);
         let stride = count.div_ceil(TRIAL_CELLS).max(1);
         let columns = columns(field, &self.fit_gain);
@@ -542,6 +513,25 @@ impl Assembler {
             fill_ahead(labels, run, self.ids[component]);
         }
         labels[end..].fill(0);
+    }
+}
+
+/// Takes over the gains of cells that are at no border, and none of the others.
+struct LeaveOut<'a> {
+    borders: &'a [u8],
+    gain: &'a [f32],
+    fit_gain: &'a mut [f32],
+}
+
+impl WithSimd for LeaveOut<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        for ((fit_gain, gain), border) in self.fit_gain.iter_mut().zip(self.gain).zip(self.borders)
+        {
+            *fit_gain = if border & BORDER == 0 { *gain } else { 0.0 };
+        }
     }
 }
 

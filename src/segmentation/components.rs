@@ -1,27 +1,33 @@
 //! Labels to regions: each 8-connected component of equal labels is a region of its own.
 
-use super::field::Field;
-use super::morphology::neighbours8;
-use super::near::{ALL, Near, neighbour};
+use super::around::{Around, Code, Label, WORD, bits, list_bits, words};
+use super::compete::NO_RETURN;
+use pulp::{Arch, Simd, WithSimd};
 use std::ops::Range;
+use wide::u8x16;
 
 /// The components of a label image, as runs of cells.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Components {
-    /// Component of each cell, `NONE` for unlabelled cells.
-    pub of_cell: Vec<u32>,
     /// Cells of each component.
     pub sizes: Vec<usize>,
+    /// Cells of each component that have a neighbour with a return which is none of its cells.
+    pub border_cells: Vec<usize>,
     /// All runs, component by component.
     sorted: Vec<(u32, u32)>,
     /// Start of each component in `sorted`, and the end of the last.
     starts: Vec<usize>,
     runs: Vec<Run>,
-    /// The columns of a row in which its runs begin, and its end.
-    changes: Vec<u32>,
+    around: Around,
+    /// What [`Change`] tells of each cell.
+    codes: Vec<u8>,
+    /// Which of the cells of a word are at a border, and how many were before.
+    at_border: Vec<(u64, u32)>,
+    /// The last cells of all runs and gaps.
+    lasts: Vec<u32>,
     /// First run of each row, and the end of the last.
     row_starts: Vec<usize>,
-    width: u32,
+    width: usize,
     /// Where the next run of each component goes.
     filled: Vec<usize>,
 }
@@ -32,12 +38,29 @@ struct Run {
     first: u32,
     end: u32,
     label: u32,
+    /// Its cells at a border.
+    border: u32,
     /// A run of the same component that comes before, or the run itself; in the end the component.
     parent: u32,
 }
 
-/// Cells that are compared with the next ones at a time.
-const COMPARED: usize = 8;
+/// Whether a cell is at the border of a region, and whether its label differs from that of the next cell.
+struct Change;
+
+/// The bit of cells at a border.
+pub(super) const BORDER: u8 = 1;
+/// The bit that is brought together for many cells.
+const LAST: u8 = 1 << 7;
+
+impl Code for Change {
+    #[inline(always)]
+    fn of<T: Label>(own: T, right: T, same: T, none: T) -> u8 {
+        let is_region = (own != T::from(false)) & (own != T::narrow(NO_RETURN));
+        let border = is_region & (same + none != T::from(8));
+        u8::from(border) * BORDER + u8::from(own != right) * LAST
+    }
+}
+
 /// Cells that are filled at a time.
 const FILLED: usize = 16;
 
@@ -94,9 +117,6 @@ impl LineCounts {
     }
 }
 
-/// No component.
-pub(super) const NONE: u32 = u32::MAX;
-
 impl Components {
     pub fn len(&self) -> usize {
         self.sizes.len()
@@ -124,7 +144,7 @@ impl Components {
     /// Cells of a component that are on neither of the two beams that have most of them; the field's lanes
     /// are the beams unless it is turned.
     pub fn beyond_two_beams(&self, component: usize, transposed: bool) -> usize {
-        let width = self.width as usize;
+        let width = self.width;
         let mut beams = LineCounts::default();
         for run in self.runs(component) {
             if transposed {
@@ -139,109 +159,99 @@ impl Components {
         beams.beyond_two()
     }
 
-    /// Finds the components of `labels`; 0 is no label. They are numbered by their first cell, and
-    /// list their runs in order.
+    /// Finds the components of `labels`, which are below `count`; 0 and that of cells without a return are
+    /// none. They are numbered by their first cell, and list their runs in order.
     ///
     /// Runs of equal labels are joined row by row (union-find), so the cost of a cell is that of
-    /// comparing it with the one before it.
-    pub fn find(&mut self, labels: &[u32], width: usize) {
-        self.find_runs(labels, width);
+    /// comparing it with those around it, many at a time.
+    pub fn find(&mut self, labels: &[u32], (width, count): (usize, usize)) {
+        let Self { around, codes, at_border, lasts, runs, row_starts, .. } = self;
+        self.width = width;
+        around.look::<Change>(labels, (width, count), codes);
+        for row in codes[..labels.len()].chunks_exact_mut(width.max(1)) {
+            row[width - 1] |= LAST;
+        }
+        lasts.resize(codes.len(), 0);
+        row_starts.clear();
+        Arch::new().dispatch(ListRuns { labels, width, codes, at_border, lasts, runs, row_starts });
         self.join_runs();
         self.number_runs();
-        self.of_cell.resize(labels.len(), NONE);
         self.sorted.resize(self.runs.len(), (0, 0));
-        let mut end = 0;
         for run in &self.runs {
             let at = &mut self.filled[run.parent as usize];
-            fill_ahead(&mut self.of_cell, end..run.first as usize, NONE);
-            end = run.end as usize;
-            fill_ahead(&mut self.of_cell, run.first as usize..end, run.parent);
             self.sorted[*at] = (run.first, run.end);
             *at += 1;
         }
-        self.of_cell[end..].fill(NONE);
     }
 
-    /// Lists the runs of equal labels in every row.
-    fn find_runs(&mut self, labels: &[u32], width: usize) {
-        self.runs.clear();
-        self.row_starts.clear();
-        self.width = width as u32;
-        self.changes.resize(width + 1, 0);
-        for (row, labels) in labels.chunks_exact(width.max(1)).enumerate() {
-            self.row_starts.push(self.runs.len());
-            // Where labels change is hard to foretell, so no branch depends on it but for several at once.
-            let mut count = 1;
-            let (here, next) = (labels, labels.get(1..).unwrap_or_default());
-            let (here_parts, next_parts) = (here.as_chunks::<COMPARED>().0, next.as_chunks().0);
-            for (part, (here, next)) in here_parts.iter().zip(next_parts).enumerate() {
-                if here != next {
-                    for (column, (a, b)) in (part * COMPARED + 1..).zip(here.iter().zip(next)) {
-                        self.changes[count] = column as u32;
-                        count += usize::from(a != b);
-                    }
-                }
-            }
-            for column in next.len() / COMPARED * COMPARED + 1..width {
-                self.changes[count] = column as u32;
-                count += usize::from(labels[column - 1] != labels[column]);
-            }
-            self.changes[count] = width as u32;
-            let first = (row * width) as u32;
-            for ends in self.changes[..=count].windows(2) {
-                let label = labels[ends[0] as usize];
-                if label != 0 {
-                    let parent = self.runs.len() as u32;
-                    let (first, end) = (first + ends[0], first + ends[1]);
-                    self.runs.push(Run { first, end, label, parent });
-                }
-            }
-        }
-        self.row_starts.push(self.runs.len());
+    /// The component of a cell, if it has one.
+    pub fn of(&self, cell: usize) -> Option<usize> {
+        let row = cell / self.width;
+        let runs = &self.runs[self.row_starts[row]..self.row_starts[row + 1]];
+        let run = runs.get(runs.partition_point(|run| run.end as usize <= cell));
+        run.filter(|run| run.first as usize <= cell).map(|run| run.parent as usize)
+    }
+
+    /// For each cell whether it has a neighbour with a return that is not of its component: not zero if so;
+    /// only the lowest bit is to be looked at.
+    pub fn borders(&self) -> &[u8] {
+        &self.codes[..self.codes.len() - WORD]
     }
 
     /// Joins runs of one label that touch, corners included, to trees whose root comes first.
     fn join_runs(&mut self) {
-        for row in 1..self.row_starts.len().saturating_sub(1) {
-            let (mut above, end) = (self.row_starts[row - 1], self.row_starts[row]);
-            for here in end..self.row_starts[row + 1] {
+        let width = self.width as u32;
+        for rows in 1..self.row_starts.len().saturating_sub(1) {
+            let (mut above, end) = (self.row_starts[rows - 1], self.row_starts[rows]);
+            for here in end..self.row_starts[rows + 1] {
                 let run = self.runs[here];
-                let (low, high) = (run.first - self.width, run.end - self.width);
+                let (low, high) = (run.first - width, run.end - width);
                 while above < end && self.runs[above].end < low {
                     above += 1;
                 }
-                let mut other = above;
-                while other < end && self.runs[other].first <= high {
-                    if self.runs[other].label == run.label {
-                        let (a, b) = (self.root(here as u32), self.root(other as u32));
-                        self.runs[a.max(b) as usize].parent = a.min(b);
+                let mut root = here as u32;
+                for other in above..end {
+                    let Run { first, label, .. } = self.runs[other];
+                    if first > high {
+                        break;
                     }
-                    other += 1;
+                    if label == run.label {
+                        let found = self.root(other as u32);
+                        // The run itself comes after all others.
+                        let later = root.max(found);
+                        root = root.min(found);
+                        self.runs[later as usize].parent = root;
+                    }
                 }
+                self.runs[here].parent = root;
             }
         }
     }
 
     fn root(&mut self, mut run: u32) -> u32 {
-        while self.runs[run as usize].parent != run {
+        loop {
             let parent = self.runs[run as usize].parent;
             let above = self.runs[parent as usize].parent;
+            if above == parent {
+                return parent;
+            }
             self.runs[run as usize].parent = above;
             run = above;
         }
-        run
     }
 
     /// Replaces the parent of each run by the number of its component, and counts cells and runs.
     fn number_runs(&mut self) {
         self.filled.clear();
         self.sizes.clear();
+        self.border_cells.clear();
         for k in 0..self.runs.len() {
-            let Run { first, end, parent, .. } = self.runs[k];
+            let Run { first, end, parent, border, .. } = self.runs[k];
             // A parent comes before its children, so it has its number already.
             let component = if parent as usize == k {
                 self.filled.push(0);
                 self.sizes.push(0);
+                self.border_cells.push(0);
                 self.filled.len() as u32 - 1
             } else {
                 self.runs[parent as usize].parent
@@ -249,6 +259,7 @@ impl Components {
             self.runs[k].parent = component;
             self.filled[component as usize] += 1;
             self.sizes[component as usize] += (end - first) as usize;
+            self.border_cells[component as usize] += border as usize;
         }
         self.starts.clear();
         let mut sum = 0;
@@ -259,33 +270,65 @@ impl Components {
         }
         self.starts.push(sum);
     }
+}
 
-    /// Whether a cell has no valid neighbour of another component.
-    pub fn is_core(&self, cell: usize, field: &Field) -> bool {
-        let component = self.of_cell[cell];
-        let is_same = |n: usize| self.of_cell[n] == component || !field.is_valid(n);
-        if field.rim.is_on(cell) {
-            return neighbours8(cell, field.lanes, field.len()).all(is_same);
-        }
-        let near = Near::of(&self.of_cell, cell, field.lanes);
-        // Whatever is of a component has a return.
-        let other = near.with(component) | near.with(NONE) != ALL;
-        let mut unlabelled = if other { 0 } else { near.with(NONE) };
-        if unlabelled == 0 {
-            return !other;
-        }
-        while unlabelled != 0 {
-            if field.is_valid(neighbour(cell, field.lanes, unlabelled.trailing_zeros())) {
-                return false;
+/// Lists the runs of equal labels in every row.
+struct ListRuns<'a> {
+    labels: &'a [u32],
+    width: usize,
+    codes: &'a [u8],
+    at_border: &'a mut Vec<(u64, u32)>,
+    lasts: &'a mut [u32],
+    runs: &'a mut Vec<Run>,
+    row_starts: &'a mut Vec<usize>,
+}
+
+impl WithSimd for ListRuns<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { labels, width, codes, at_border, lasts, runs, row_starts } = self;
+        let words = words(codes);
+        let count = list_bits(words.iter().map(|codes| bits(codes, |codes| codes)), lasts);
+        let mut before = 0;
+        at_border.clear();
+        at_border.extend(words.iter().map(|codes| {
+            let border = u8x16::splat(BORDER);
+            let word = bits(codes, |codes| (codes & border).simd_eq(border));
+            before += word.count_ones();
+            (word, before - word.count_ones())
+        }));
+        let borders_before = |cell: u32| {
+            let (word, before) = at_border[cell as usize / WORD];
+            before + (word & ((1 << (cell as usize % WORD)) - 1)).count_ones()
+        };
+        runs.resize(count, Run { first: 0, end: 0, label: 0, border: 0, parent: 0 });
+        let (mut first, mut listed) = (0, 0);
+        let mut lasts = lasts[..count].iter();
+        for row in 1..=labels.len() / width.max(1) {
+            row_starts.push(listed);
+            let row_end = (row * width) as u32;
+            for last in lasts.by_ref() {
+                let (end, label) = (last + 1, labels[first as usize]);
+                let border = borders_before(end) - borders_before(first);
+                // Written over by the next one where there is no label: that is hard to foretell.
+                runs[listed] = Run { first, end, label, border, parent: listed as u32 };
+                listed += usize::from((label != 0) & (label != NO_RETURN));
+                first = end;
+                if end == row_end {
+                    break;
+                }
             }
-            unlabelled &= unlabelled - 1;
         }
-        true
+        runs.truncate(listed);
+        row_starts.push(listed);
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::morphology::neighbours8;
     use super::*;
     use proptest::prelude::*;
 
@@ -297,12 +340,13 @@ mod tests {
         ) {
             let labels = &labels[..labels.len() / width * width];
             let mut components = Components::default();
-            components.find(labels, width);
+            components.find(labels, (width, 3));
+
             let mut seen = vec![false; labels.len()];
             let mut next = 0;
             for start in 0..labels.len() {
                 if labels[start] == 0 {
-                    prop_assert_eq!(components.of_cell[start], NONE);
+                    prop_assert_eq!(components.of(start), None);
                 }
                 if labels[start] == 0 || seen[start] {
                     continue;
@@ -322,7 +366,12 @@ mod tests {
                 cells.sort_unstable();
                 let found: Vec<usize> = components.cells(next).collect();
                 prop_assert_eq!(&found, &cells);
-                prop_assert!(cells.iter().all(|&c| components.of_cell[c] == next as u32));
+                prop_assert!(cells.iter().all(|&c| components.of(c) == Some(next)));
+                let others = |c: usize| {
+                    neighbours8(c, width, labels.len()).any(|n| labels[n] != labels[c])
+                };
+                let border = cells.iter().filter(|&&c| others(c)).count();
+                prop_assert_eq!(components.border_cells[next], border);
                 next += 1;
             }
             prop_assert_eq!(components.len(), next);
@@ -333,7 +382,7 @@ mod tests {
     fn a_label_in_two_places_is_two_components() {
         let labels = [1, 0, 1, /**/ 0, 1, 0, /**/ 2, 0, 0, /**/ 0, 0, 2];
         let mut components = Components::default();
-        components.find(&labels, 3);
+        components.find(&labels, (3, 3));
         assert_eq!(components.len(), 3);
         let cells = [0, 1, 2].map(|component| components.cells(component).collect::<Vec<_>>());
         assert_eq!(cells, [vec![0, 2, 4], vec![6], vec![11]]);

@@ -54,7 +54,7 @@ impl Doubts {
     }
 
     /// Parts a component whose plane was found to be `q`: what the plane explains that explains most
-    /// of it gets a label of its own from `first` on, which all of `labels` are below, and so does the
+    /// of it gets a label of its own from `first` on, which all of `labels` of returns are below, and so does the
     /// rest where it has at least `fewest` cells. Returns whether anything has changed.
     pub fn part(
         &mut self,
@@ -71,7 +71,7 @@ impl Doubts {
         self.trial.extend(self.cells.iter().step_by(stride));
         let (best, better) = self.best_plane(field, components, component, q);
         let scale = self.scale(field, &best);
-        let left_out = self.leave_out(field, components, component, &best, scale);
+        let left_out = self.leave_out(field, labels, &best, scale);
         if left_out == 0 && !better {
             return false;
         }
@@ -120,7 +120,7 @@ impl Doubts {
             for s in step.saturating_sub(reach)..=(step + reach).min(field.steps - 1) {
                 for l in lane.saturating_sub(REACH)..=(lane + REACH).min(field.lanes - 1) {
                     let cell = s * field.lanes + l;
-                    if components.of_cell[cell] == component as u32 {
+                    if components.of(cell) == Some(component) {
                         moments.add_point(field.point(cell), field.weight(cell));
                     }
                 }
@@ -158,14 +158,9 @@ impl Doubts {
 
     /// Marks the cells that a plane does not explain, each in agreement with its neighbours; returns
     /// how many these are.
-    fn leave_out(
-        &mut self,
-        field: &Field,
-        components: &Components,
-        component: usize,
-        q: &[f64; 3],
-        scale: f32,
-    ) -> usize {
+    fn leave_out(&mut self, field: &Field, labels: &[u32], q: &[f64; 3], scale: f32) -> usize {
+        // Those of other components beside it have other labels, now too if they were parted.
+        let labels = if self.labels.is_empty() { labels } else { &self.labels };
         self.out.resize(field.len(), false);
         self.open.clear();
         let mut count = 0;
@@ -183,7 +178,7 @@ impl Doubts {
             for &(cell, error) in &self.open {
                 let mut votes = 0.0;
                 for n in neighbours8(cell as usize, field.lanes, field.len()) {
-                    if components.of_cell[n] == component as u32 {
+                    if labels[n] == labels[cell as usize] {
                         votes += if self.out[n] { -1.0 } else { 1.0 };
                     }
                 }

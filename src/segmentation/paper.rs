@@ -7,6 +7,7 @@
 use super::absorb::Absorber;
 use super::axes::candidate_axes;
 use super::borders::Borders;
+use super::compete::NO_RETURN;
 use super::components::Components;
 use super::config::{PaperConfig, SegmentationConfig};
 use super::field::Field;
@@ -53,7 +54,8 @@ pub(super) struct PaperChain {
 }
 
 impl PaperChain {
-    /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns what is
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none
+    /// and [`NO_RETURN`] for cells without one. Returns what is
     /// known of them.
     pub fn run(
         &mut self,
@@ -77,11 +79,14 @@ impl PaperChain {
             self.splitter.split(field, labels, last, paper.split_angle_deg.to_radians());
         }
         self.parted.clone_from(labels);
-        self.components.find(labels, width);
+        let count = labels.iter().max().map_or(0, |&most| most as usize + 1);
+        self.components.find(labels, (width, count));
         self.fit_models(field, config);
-        for (label, &component) in labels.iter_mut().zip(&self.components.of_cell) {
-            let kept = self.models.get(component as usize).is_some_and(Option::is_some);
-            *label = if kept { component + 1 } else { 0 };
+        labels.fill(0);
+        for (run, component) in self.components.all_runs() {
+            if self.models[component].is_some() {
+                labels[run].fill(component as u32 + 1);
+            }
         }
         self.absorber.absorb(
             field,
@@ -94,7 +99,10 @@ impl PaperChain {
         self.flat.extend(self.models.iter().map(|m| matches!(m, Some(Model::Plane { .. }))));
         self.merge(field, labels);
         observe(Stage::Split);
-        Found { moments: &self.moments, models: &[], border: &self.border }
+        for (cell, label) in labels.iter_mut().enumerate() {
+            *label = if field.is_valid(cell) { *label } else { NO_RETURN };
+        }
+        Found { moments: &self.moments, models: &[] }
     }
 
     fn find_edges(&mut self, field: &Field, paper: &PaperConfig) {
@@ -125,7 +133,7 @@ impl PaperChain {
             let Field { x, y, z, inverse, gain, .. } = field;
             let columns = Columns { x, y, z, inverse, gain, fit_gain: gain };
             self.readings.gather_runs(columns, &field.range, self.components.runs(component));
-            let belongs = |c: usize| self.components.of_cell[c] == component as u32;
+            let belongs = |c: usize| self.components.of(c) == Some(component);
             let axes = candidate_axes(field, cells, count, belongs);
             let (fitted, _) = choose(&mut self.readings, &axes, &config.limits, &field.errors);
             self.models.push(match fitted {

@@ -22,8 +22,6 @@ pub(super) struct Found<'a> {
     /// The curved surface of each label, where it was found to be one; none at all from a chain that
     /// does not look for them.
     pub models: &'a [Option<Model>],
-    /// Cells, each once, among which are all at which labels meet.
-    pub border: &'a [u32],
 }
 
 /// Buffers and stage images of the chain.
@@ -41,7 +39,8 @@ pub(super) struct StickChain {
 }
 
 impl StickChain {
-    /// Finds the regions of a field; `labels` gets one number to each, 0 for none. Returns what is
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none
+    /// and [`NO_RETURN`] for cells without one. Returns what is
     /// known of them.
     pub fn run(
         &mut self,
@@ -68,15 +67,8 @@ impl StickChain {
         self.competition.settle(field, &self.rivals, labels);
         self.merge(field, labels);
         self.competition.settle_again(field, &self.rivals, labels, &self.changed);
-        for label in labels.iter_mut() {
-            *label = if *label == NO_RETURN { 0 } else { *label };
-        }
         observe(Stage::Split);
-        Found {
-            moments: &self.moments,
-            models: &self.curves.models,
-            border: &self.competition.border,
-        }
+        Found { moments: &self.moments, models: &self.curves.models }
     }
 
     /// Merges planes that touch now that the cells are settled, and fits them anew.
@@ -118,10 +110,11 @@ impl StickChain {
         let mut painter = self.sticks.clone();
         painter.paint(field, |stick| stick as u32 + 1, 0, &mut sticks);
         painter.paint(field, |stick| self.grower.region_of[stick], 0, &mut grown);
+        let settled = labels.iter().map(|&label| if label == NO_RETURN { 0 } else { label });
         vec![
             StageImage::labels("sticks", sticks),
             StageImage::labels("grown", grown),
-            StageImage::labels("settled", labels.to_vec()),
+            StageImage::labels("settled", settled.collect()),
         ]
     }
 }
