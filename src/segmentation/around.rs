@@ -115,20 +115,21 @@ impl<T: Label, C: Code> WithSimd for Look<'_, T, C> {
         }
         padded.copy_within(stride..2 * stride, 0);
         padded.copy_within(height * stride..(height + 1) * stride, (height + 1) * stride);
+        let parts = width.div_ceil(PART);
         for row in 0..height {
-            for column in (0..width).step_by(PART) {
-                let first = row * stride + column;
-                let rows = [first, first + stride, first + 2 * stride]
-                    .map(|first| -> &[T; PART + 2] { part(padded, first) });
-                *part_mut(codes, row * width + column) = code_part::<T, C>(rows);
+            let columns = |row: usize| {
+                let first = row * stride;
+                [first, first + 1, first + 2].map(|first| {
+                    &padded[first..first + parts * PART].as_chunks::<PART>().0[..parts]
+                })
+            };
+            let rows = [columns(row), columns(row + 1), columns(row + 2)];
+            let codes = &mut codes[row * width..row * width + parts * PART];
+            for (part, codes) in codes.as_chunks_mut().0.iter_mut().enumerate().take(parts) {
+                *codes = code_part::<T, C>(rows.map(|row| row.map(|column| &column[part])));
             }
         }
     }
-}
-
-#[inline(always)]
-fn part<T, const N: usize>(array: &[T], first: usize) -> &[T; N] {
-    array[first..].first_chunk().expect("there is room for a part more")
 }
 
 #[inline(always)]
@@ -136,26 +137,17 @@ fn part_mut<T, const N: usize>(array: &mut [T], first: usize) -> &mut [T; N] {
     array[first..].first_chunk_mut().expect("there is room for a part more")
 }
 
-/// The codes of the cells in the middle of three rows.
+/// The codes of cells, from rows that are one above the other, each from three columns on.
 #[inline(always)]
-fn code_part<T: Label, C: Code>([above, here, below]: [&[T; PART + 2]; 3]) -> [u8; PART] {
+fn code_part<T: Label, C: Code>(rows: [[&[T; PART]; 3]; 3]) -> [u8; PART] {
+    let [[a, b, c], [left, here, right], [d, e, f]] = rows;
     let no_return = T::narrow(NO_RETURN);
     let mut codes = [0; PART];
     for i in 0..PART {
-        let own = here[i + 1];
-        let near = [
-            above[i],
-            above[i + 1],
-            above[i + 2],
-            here[i],
-            here[i + 2],
-            below[i],
-            below[i + 1],
-            below[i + 2],
-        ];
+        let near = [a[i], b[i], c[i], left[i], right[i], d[i], e[i], f[i]];
         let count =
             |label: T| near.iter().fold(T::from(false), |sum, &near| sum + T::from(near == label));
-        codes[i] = C::of(own, here[i + 2], count(own), count(no_return));
+        codes[i] = C::of(here[i], right[i], count(here[i]), count(no_return));
     }
     codes
 }
