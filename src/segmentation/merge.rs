@@ -1,6 +1,5 @@
 //! Neighbouring planar regions that one plane explains become one.
 
-use super::compete::NO_RETURN;
 use super::moments::Moments;
 use super::morphology::neighbours8;
 use super::near::Rim;
@@ -62,11 +61,6 @@ impl WithSimd for Replace<'_> {
     }
 }
 
-/// Whether a label is a region's.
-fn is_region(label: u32) -> bool {
-    label != 0 && label != NO_RETURN
-}
-
 impl Merger {
     /// Lists the pairs of labels that touch in an image, corners included; all are below `count`.
     /// `borders` holds the cells at which labels meet, `rim` those at the image's.
@@ -82,9 +76,6 @@ impl Merger {
         for &cell in borders {
             let cell = cell as usize;
             let label = labels[cell];
-            if !is_region(label) {
-                continue;
-            }
             // The neighbours before it have looked at it.
             if rim.is_on(cell) {
                 let near = neighbours8(cell, width, labels.len()).filter(|&n| n > cell);

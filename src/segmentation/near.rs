@@ -2,9 +2,9 @@
 
 use wide::u32x4;
 
-/// The bits of all eight neighbours: three for the row above, three for the cell's own, of which the
-/// middle one is the cell and no neighbour, and three for the row below.
-pub(super) const ALL: u32 = 0b111_101_111;
+/// The bits of all eight neighbours: four for the row above, four for the cell's own, of which the
+/// second one is the cell, and four for the row below; the fourth of each is no neighbour.
+pub(super) const ALL: u32 = 0b0111_0101_0111;
 
 /// Which cells of an image are so near its rim that not all neighbours can be loaded as vectors.
 #[derive(Clone, Debug, Default)]
@@ -82,14 +82,14 @@ impl Near {
         let above = above.simd_eq(label).to_bitmask();
         let beside = beside.simd_eq(label).to_bitmask();
         let below = below.simd_eq(label).to_bitmask();
-        ((above & 0b111) | (beside & 0b111) << 3 | below << 6) & ALL
+        (above | beside << 4 | below << 8) & ALL
     }
 }
 
 /// The cell of a neighbour that has a bit.
 #[inline(always)]
 pub(super) fn neighbour(cell: usize, width: usize, bit: u32) -> usize {
-    let (row, column) = (bit as usize / 3, bit as usize % 3);
+    let (row, column) = (bit as usize / 4, bit as usize % 4);
     (cell + row * width + column).wrapping_sub(width + 1)
 }
 
@@ -116,7 +116,7 @@ mod tests {
                 };
                 for label in 0..3 {
                     let bits = near.with(label);
-                    let found: Vec<usize> = (0..9)
+                    let found: Vec<usize> = (0..12)
                         .filter(|bit| bits & 1 << bit != 0)
                         .map(|bit| neighbour(cell, width, bit))
                         .collect();

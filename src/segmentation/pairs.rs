@@ -4,8 +4,9 @@ use super::compete::NO_RETURN;
 
 /// Regions, with none, of which it is kept in a table which ones touch: nearly all scans have fewer.
 const FEW: usize = 127;
-/// The place of what is no region, as is that of zero.
-const NONE_PLACE: u32 = FEW as u32;
+/// Places of the table. The last one is that of what has no return, whose lowest bits are all set; it and
+/// that of zero are no region's.
+const PLACES: usize = FEW + 1;
 /// Pairs that are remembered while others are listed.
 const LATELY: usize = 256;
 
@@ -16,7 +17,7 @@ pub(super) struct Touching {
     count: usize,
     /// For each of few regions those that it was found to touch, and room for bits of these: a byte is
     /// written with fewer instructions than a bit.
-    table: Vec<[bool; FEW + 1]>,
+    table: Box<[[bool; PLACES]; PLACES]>,
     bits: Vec<u128>,
     /// Of many regions: the pairs, and those that were listed lately, each at a place that its labels
     /// give: most come again.
@@ -26,7 +27,7 @@ pub(super) struct Touching {
 
 impl Default for Touching {
     fn default() -> Self {
-        let (table, bits) = (vec![[false; FEW + 1]; FEW], Vec::with_capacity(FEW));
+        let (table, bits) = (Box::new([[false; PLACES]; PLACES]), Vec::with_capacity(FEW));
         Self { count: 0, table, bits, pairs: Vec::new(), lately: [(0, 0); LATELY] }
     }
 }
@@ -37,27 +38,27 @@ impl Touching {
         self.count = count;
         self.pairs.clear();
         if count <= FEW {
-            self.table[..count].fill([false; FEW + 1]);
+            self.table[..count].fill([false; PLACES]);
         } else {
             self.lately.fill((0, 0));
         }
     }
 
-    /// Adds what a region touches; its own label and those of no region do not count.
+    /// Adds what a cell's label touches; neither its own one nor those of no region count.
     #[inline]
-    pub fn add(&mut self, region: u32, others: impl Iterator<Item = u32>) {
+    pub fn add(&mut self, label: u32, others: impl Iterator<Item = u32>) {
         if self.count <= FEW {
-            let row = &mut self.table[region as usize];
+            let row = &mut self.table[label as usize % PLACES];
             for other in others {
-                row[other.min(NONE_PLACE) as usize] = true;
+                row[other as usize % PLACES] = true;
             }
         } else {
-            others.for_each(|other| self.push(region, other));
+            others.for_each(|other| self.push(label, other));
         }
     }
 
     fn push(&mut self, a: u32, b: u32) {
-        if a == b || b == 0 || b == NO_RETURN {
+        if a == b || a.min(b) == 0 || a.max(b) == NO_RETURN {
             return;
         }
         let pair = (a.min(b), a.max(b));
@@ -87,7 +88,7 @@ impl Touching {
             }
         }
         for a in 1..self.count {
-            let mut after = self.bits[a] & !(1 << NONE_PLACE) & (u128::MAX << a << 1);
+            let mut after = self.bits[a] & !(1 << FEW) & (u128::MAX << a << 1);
             while after != 0 {
                 pairs.push((a as u32, after.trailing_zeros()));
                 after &= after - 1;
@@ -97,7 +98,7 @@ impl Touching {
 }
 
 /// The numbers of those that hold as bits.
-fn bits_of(row: &[bool; FEW + 1]) -> u128 {
+fn bits_of(row: &[bool; PLACES]) -> u128 {
     let mut bits = 0;
     for (place, part) in row.as_chunks::<8>().0.iter().enumerate() {
         // The product brings the lowest bit of each byte to its place in the uppermost byte.
@@ -125,10 +126,10 @@ mod tests {
         fn few_and_many_regions_are_listed_alike(
             found in prop::collection::vec((1..FEW as u32, 0..FEW as u32 + 1), 0..300),
         ) {
-            let other = |b: u32| if b == NONE_PLACE { NO_RETURN } else { b };
+            let other = |b: u32| if b == FEW as u32 { NO_RETURN } else { b };
             let expected: BTreeSet<(u32, u32)> = found
                 .iter()
-                .filter(|&&(a, b)| a != b && b != 0 && b != NONE_PLACE)
+                .filter(|&&(a, b)| a != b && b != 0 && b != FEW as u32)
                 .map(|&(a, b)| (a.min(b), a.max(b)))
                 .collect();
             let mut touching = Touching::default();
