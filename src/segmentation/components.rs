@@ -62,7 +62,7 @@ impl Code for Change {
 }
 
 /// Cells that are filled at a time.
-const FILLED: usize = 16;
+const FILLED: usize = 32;
 
 /// Fills a range, and some of what comes after it: what that is to hold is written later.
 #[inline]
@@ -80,33 +80,24 @@ pub(super) fn fill_ahead<T: Copy>(array: &mut [T], range: Range<usize>, value: T
 /// Lines of one direction that are counted; a region on more of them is no strip.
 const COUNTED_LINES: usize = 8;
 
-/// How many cells of a region are on each line of one direction.
+/// How many cells of a region are on each line of one direction, of which there are no more than that.
 #[derive(Default)]
 struct LineCounts {
     lines: [(usize, usize); COUNTED_LINES],
     count: usize,
-    many: bool,
 }
 
 impl LineCounts {
     fn add(&mut self, line: usize, cells: usize) {
-        if self.many {
-            return;
-        }
         if let Some(known) = self.lines[..self.count].iter_mut().find(|known| known.0 == line) {
             known.1 += cells;
-        } else if self.count < COUNTED_LINES {
+        } else {
             self.lines[self.count] = (line, cells);
             self.count += 1;
-        } else {
-            self.many = true;
         }
     }
 
     fn beyond_two(&self) -> usize {
-        if self.many {
-            return usize::MAX;
-        }
         let (mut first, mut second, mut all) = (0, 0, 0);
         for &(_, cells) in &self.lines[..self.count] {
             all += cells;
@@ -146,14 +137,24 @@ impl Components {
     pub fn beyond_two_beams(&self, component: usize, transposed: bool) -> usize {
         let width = self.width;
         let mut beams = LineCounts::default();
+        // A component is on all lines from its first to its last one, and nearly all are on many.
+        let (mut first, mut last) = (usize::MAX, 0);
+        for run in self.runs(component) {
+            let lines = if transposed {
+                [run.start / width, run.start / width]
+            } else {
+                [run.start % width, (run.end - 1) % width]
+            };
+            (first, last) = (first.min(lines[0]), last.max(lines[1]));
+            if last - first >= COUNTED_LINES {
+                return usize::MAX;
+            }
+        }
         for run in self.runs(component) {
             if transposed {
                 beams.add(run.start / width, run.len());
             } else {
                 run.for_each(|cell| beams.add(cell % width, 1));
-            }
-            if beams.many {
-                break;
             }
         }
         beams.beyond_two()
