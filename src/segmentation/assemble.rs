@@ -273,9 +273,8 @@ impl Assembler {
 
     /// A cell in the middle of a component.
     fn middle(&self, component: usize) -> usize {
-        let count = self.components.runs(component).count();
-        let run = self.components.runs(component).nth(count / 2);
-        run.map_or(0, |run| usize::midpoint(run.start, run.end))
+        let run = self.components.middle_run(component);
+        usize::midpoint(run.start, run.end)
     }
 
     /// The shape and the centroid of a component, with its first cell in the grid, whose plane is about

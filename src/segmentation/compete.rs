@@ -120,17 +120,30 @@ impl Competition {
             // What the rounds did not come to an end with is in the front still.
             self.queued[cell as usize] = true;
         }
-        for &cell in &self.border {
-            let has_changed = changed.get(labels[cell as usize] as usize);
-            if has_changed.is_some_and(|&changed| changed) {
-                let near = neighbours8(cell as usize, field.lanes, field.len());
-                for n in near.chain([cell as usize]) {
-                    if self.borders.is_listed(n) && !self.queued[n] {
-                        self.queued[n] = true;
-                        self.front.push(n as u32);
+        if changed.contains(&true) {
+            let mut count = self.front.len();
+            // Which cells are to be settled is hard to foretell, so they are written one over the other.
+            self.front.resize(self.border.len() + 1, 0);
+            for &cell in &self.border {
+                let has_changed = changed.get(labels[cell as usize] as usize);
+                if has_changed.is_some_and(|&changed| changed) {
+                    let mut look_at = |n: usize| {
+                        let is_new = self.borders.is_listed(n) & !self.queued[n];
+                        self.queued[n] |= is_new;
+                        self.front[count] = n as u32;
+                        count += usize::from(is_new);
+                    };
+                    let (cell, width) = (cell as usize, field.lanes);
+                    if field.rim.is_on(cell) {
+                        neighbours8(cell, width, field.len()).chain([cell]).for_each(look_at);
+                    } else {
+                        for first in [cell - width - 1, cell - 1, cell + width - 1] {
+                            (first..first + 3).for_each(&mut look_at);
+                        }
                     }
                 }
             }
+            self.front.truncate(count);
         }
         for &cell in &self.front {
             self.queued[cell as usize] = false;
@@ -250,10 +263,14 @@ impl WithSimd for Round<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let Self { field, rivals, labels, front, changes } = self;
+        // Of one length, so that one comparison bounds them all.
+        let columns = [&field.x, &field.y, &field.z, &field.range, &field.gain]
+            .map(|array| &array[..labels.len()]);
         for &cell in front {
             let own = labels[cell as usize];
             if own != NO_RETURN {
-                let label = best_label(field, rivals, labels, cell as usize, own);
+                let readings = columns.map(|column| column[cell as usize]);
+                let label = best_label(field, rivals, labels, (cell as usize, own), readings);
                 if label != own {
                     changes.push((cell, label));
                 }
@@ -264,7 +281,13 @@ impl WithSimd for Round<'_> {
 
 /// The label at which a cell costs least.
 #[inline(always)]
-fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize, own: u32) -> u32 {
+fn best_label(
+    field: &Field,
+    rivals: &[Rival],
+    labels: &[u32],
+    (cell, own): (usize, u32),
+    [x, y, z, range, gain]: [f32; 5],
+) -> u32 {
     let near = if field.rim.is_on(cell) {
         Near::on_rim(labels, cell, field.lanes, NO_RETURN)
     } else {
@@ -272,13 +295,11 @@ fn best_label(field: &Field, rivals: &[Rival], labels: &[u32], cell: usize, own:
     };
     let returns = ALL & !near.with(NO_RETURN);
     let (around, agree) = (returns.count_ones(), near.with(own));
-    let p = [field.x[cell], field.y[cell], field.z[cell]];
-    let (range, gain) = (field.range[cell], field.gain[cell]);
     let error = |label: u32| {
         if label == 0 {
             UNEXPLAINED
         } else {
-            let e = rivals[label as usize].error(p, range) * gain;
+            let e = rivals[label as usize].error([x, y, z], range) * gain;
             e * e
         }
     };

@@ -122,6 +122,13 @@ impl Components {
         runs.iter().map(|&(first, end)| first as usize..end as usize)
     }
 
+    /// As many runs of a component come before this one as after it, or one more.
+    pub fn middle_run(&self, component: usize) -> Range<usize> {
+        let [start, end] = [self.starts[component], self.starts[component + 1]];
+        let (first, end) = self.sorted[start + (end - start) / 2];
+        first as usize..end as usize
+    }
+
     /// All runs in order, with their components.
     pub fn all_runs(&self) -> impl Iterator<Item = (Range<usize>, usize)> + '_ {
         self.runs.iter().map(|run| (run.first as usize..run.end as usize, run.parent as usize))
