@@ -62,6 +62,7 @@ impl Around {
     ) {
         codes.resize(labels.len() + WORD, 0);
         if labels.is_empty() {
+            codes.fill(0);
             return;
         }
         let code = std::marker::PhantomData::<C>;

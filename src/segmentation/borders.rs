@@ -102,17 +102,24 @@ mod tests {
     proptest! {
         #[test]
         fn borders_are_those_of_the_definition(
-            labels in prop::collection::vec(0..3_u32, 0..120),
-            width in 1..9_usize,
+            labels in prop::collection::vec(
+                prop::sample::select(vec![0, 1, 2, NO_RETURN]),
+                0..120,
+            ),
+            width in 1..50_usize,
         ) {
             let labels = &labels[..labels.len() / width * width];
-            let mut cells = Vec::new();
-            Borders::default().find(labels, (width, 3), &mut cells);
             let expected: Vec<u32> = (0..labels.len())
+                .filter(|&c| labels[c] != NO_RETURN)
                 .filter(|&c| neighbours8(c, width, labels.len()).any(|n| labels[n] != labels[c]))
                 .map(|c| c as u32)
                 .collect();
-            prop_assert_eq!(cells, expected);
+            let mut cells = Vec::new();
+            // Labels of each width.
+            for count in [3, 1 << 8, 1 << 16] {
+                Borders::default().find(labels, (width, count), &mut cells);
+                prop_assert_eq!(&cells, &expected);
+            }
         }
     }
 }

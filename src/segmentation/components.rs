@@ -343,20 +343,25 @@ mod tests {
     proptest! {
         #[test]
         fn components_are_those_of_a_flood(
-            labels in prop::collection::vec(0..3_u32, 0..160),
-            width in 1..12_usize,
+            labels in prop::collection::vec(
+                prop::sample::select(vec![0, 1, 2, NO_RETURN]),
+                0..160,
+            ),
+            width in 1..50_usize,
+            count in prop::sample::select(vec![3, 1 << 8, 1 << 16]),
         ) {
             let labels = &labels[..labels.len() / width * width];
             let mut components = Components::default();
-            components.find(labels, (width, 3));
+            components.find(labels, (width, count));
 
             let mut seen = vec![false; labels.len()];
             let mut next = 0;
             for start in 0..labels.len() {
-                if labels[start] == 0 {
+                let is_none = labels[start] == 0 || labels[start] == NO_RETURN;
+                if is_none {
                     prop_assert_eq!(components.of(start), None);
                 }
-                if labels[start] == 0 || seen[start] {
+                if is_none || seen[start] {
                     continue;
                 }
                 let mut cells = vec![start];
@@ -376,7 +381,8 @@ mod tests {
                 prop_assert_eq!(&found, &cells);
                 prop_assert!(cells.iter().all(|&c| components.of(c) == Some(next)));
                 let others = |c: usize| {
-                    neighbours8(c, width, labels.len()).any(|n| labels[n] != labels[c])
+                    neighbours8(c, width, labels.len())
+                        .any(|n| labels[n] != labels[c] && labels[n] != NO_RETURN)
                 };
                 let border = cells.iter().filter(|&&c| others(c)).count();
                 prop_assert_eq!(components.border_cells[next], border);
