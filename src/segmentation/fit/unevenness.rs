@@ -204,21 +204,21 @@ impl Blocks {
             let in_row = (cells as f64 / (rows * parts) as f64).max(1.0);
             scatter * common.patch.max(1.0 + common.row_share * (in_row - 1.0))
         };
+        let whitened = fit.whitened(&blocks, &root.unpack());
         let is_sure = MERGED.into_iter().any(|(bands, parts)| {
             let beside = SIDE / if common.rows_are_lanes { bands } else { parts };
-            let Some((ratio, degrees)) = fit.left_in(&blocks, (bands, parts)) else { return false };
             let few_rows = if common.row_share > 0.0 {
                 UNKNOWNS * (rows as f64 - 1.0).max(1.0)
             } else {
                 f64::INFINITY
             };
-            ratio > alike(beside) * least_sure(degrees.min(few_rows))
+            is_exceeded(&whitened, (bands, parts), alike(beside), few_rows)
         });
         let (mut square, mut noise, mut count) = (0.0, 0.0, 0.0);
         for (a, g) in blocks.iter().filter(|(a, _)| a[(0, 0)] > 0.0) {
-            let weight = a[(0, 0)];
-            square += ((g - a * fit.correction)[0] / weight).powi(2);
-            let taken = (a * fit.covariance * a)[(0, 0)];
+            let (weight, first) = (a[(0, 0)], a.column(0));
+            square += ((g[0] - first.dot(&fit.correction)) / weight).powi(2);
+            let taken = first.dot(&(fit.covariance * first));
             noise += alike(SIDE) * ((weight - taken) / (weight * weight)).max(0.0);
             count += 1.0;
         }
@@ -232,6 +232,10 @@ impl Blocks {
         })
     }
 }
+
+/// Of a block, the upper triangle of its share in the fit, row by row, and what it leaves in the right side;
+/// both in coordinates in which the fit's covariance is the identity.
+type Whitened = [f64; 9];
 
 /// The plane through all blocks, beside the one that their sums were taken about.
 struct Fit {
@@ -265,34 +269,68 @@ impl Fit {
         (left_m2 < (1.0 - BENT_SHARE) * square_m2).then_some(bend)
     }
 
-    /// What so many bands and parts taken together leave in the right side, in units of what independent
-    /// readings do, and the degrees of freedom of that; `None` where the fit takes nearly all.
-    fn left_in(
+    /// The blocks in coordinates in which the normal matrix `L Lᵀ` is the identity: sums over blocks, and
+    /// traces of products with the covariance, are cheap there.
+    fn whitened(
         &self,
-        blocks: &[(Matrix3<f64>, Vector3<f64>)],
-        (bands, parts): (usize, usize),
-    ) -> Option<(f64, f64)> {
-        let (mut seen, mut free, mut square) = (0.0, 0.0, 0.0);
-        for band in (0..SIDE).step_by(bands) {
-            for part in (0..SIDE).step_by(parts) {
-                let (mut a, mut g) = (Matrix3::zeros(), Vector3::zeros());
-                for at in (band..band + bands).map(|band| band * SIDE + part) {
-                    for block in &blocks[at..at + parts] {
-                        a += block.0;
-                        g += block.1;
-                    }
-                }
-                g -= a * self.correction;
-                let share = self.covariance * a;
-                let own = share - share * share;
-                seen += g.dot(&(self.covariance * g));
-                free += own.trace();
-                square += (own * own).trace();
-            }
-        }
-        // A sum of squares of normal variables is nearly χ² of so many degrees (Satterthwaite).
-        (free > 1.0).then(|| (seen / free, free * free / square))
+        blocks: &[(Matrix3<f64>, Vector3<f64>); SIDE * SIDE],
+        lower: &Matrix3<f64>,
+    ) -> [Whitened; SIDE * SIDE] {
+        // The inverse of L, row by row.
+        let (p, r, u) = (1.0 / lower.m11, 1.0 / lower.m22, 1.0 / lower.m33);
+        let q = -lower.m21 * p * r;
+        let (s, t) = (-(lower.m31 * p + lower.m32 * q) * u, -lower.m32 * r * u);
+        let whiten = |v: [f64; 3]| [p * v[0], q * v[0] + r * v[1], s * v[0] + t * v[1] + u * v[2]];
+        std::array::from_fn(|at| {
+            let (a, g) = &blocks[at];
+            let columns = [a.column(0), a.column(1), a.column(2)];
+            // The columns of L⁻¹ A, of which the rows of L⁻¹ A L⁻ᵀ are made.
+            let [x, y, z] = columns.map(|column| whiten([column[0], column[1], column[2]]));
+            let [xx, xy, xz] = whiten([x[0], y[0], z[0]]);
+            let [_, yy, yz] = whiten([x[1], y[1], z[1]]);
+            let [_, _, zz] = whiten([x[2], y[2], z[2]]);
+            let left = g - a * self.correction;
+            let [gx, gy, gz] = whiten(left.into());
+            [xx, xy, xz, yy, yz, zz, gx, gy, gz]
+        })
     }
+}
+
+/// Whether so many bands and parts taken together leave more in the right side than independent readings,
+/// of which so many are worth one, explain; no more degrees of freedom are believed than so many.
+fn is_exceeded(
+    blocks: &[Whitened; SIDE * SIDE],
+    (bands, parts): (usize, usize),
+    alike: f64,
+    most_degrees: f64,
+) -> bool {
+    let mut merged = [[0.0; 9]; SIDE * SIDE];
+    let across = SIDE / parts;
+    for (at, block) in blocks.iter().enumerate() {
+        let sums = &mut merged[at / SIDE / bands * across + at % SIDE / parts];
+        for (sum, value) in sums.iter_mut().zip(block) {
+            *sum += value;
+        }
+    }
+    let merged = &merged[..SIDE / bands * across];
+    let (mut seen, mut free) = (0.0, 0.0);
+    for &[xx, xy, xz, yy, yz, zz, x, y, z] in merged {
+        seen += x * x + y * y + z * z;
+        let taken = xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz);
+        free += xx + yy + zz - taken;
+    }
+    // Where the fit takes nearly all, nothing is told. What is sure exceeds what is explained, whatever the
+    // degrees of freedom, which take more to reckon.
+    if !(free > 1.0 && seen > alike * free) {
+        return false;
+    }
+    let squares = merged.iter().map(|&[xx, xy, xz, yy, yz, zz, ..]| {
+        let share = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        (share - share * share).norm_squared()
+    });
+    // A sum of squares of normal variables is nearly χ² of so many degrees (Satterthwaite).
+    let degrees = free * free / squares.sum::<f64>();
+    seen > free * alike * least_sure(degrees.min(most_degrees))
 }
 
 /// What a χ² variable, divided by its degrees of freedom, exceeds once in ten thousand times (Wilson and
