@@ -172,7 +172,6 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
         let mut sums = PlaneSums::none(reference);
         packed.count = 0;
         for run in runs {
-            sums.readings += run.len();
             let mut at = run.start;
             while at < run.end {
                 let vectors = if at + S::F32_LANES <= length {
@@ -182,12 +181,12 @@ impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
                 };
                 packed.put(simd, vectors, (run.end - at).min(S::F32_LANES));
                 if packed.count >= Packed::FULL {
-                    add_up(simd, &about, packed, &mut sums.totals);
+                    add_up(simd, &about, packed, &mut sums);
                 }
                 at += S::F32_LANES;
             }
         }
-        add_up(simd, &about, packed, &mut sums.totals);
+        add_up(simd, &about, packed, &mut sums);
         sums
     }
 }
@@ -225,12 +224,9 @@ impl<V> About<V> {
 /// There are more sums than a processor has vectors at hand, so the readings are gone through three times:
 /// for what is no product with a place, for the products with weights, and for those without.
 #[inline(always)]
-fn add_up<S: Simd>(
-    simd: S,
-    about: &About<S::f32s>,
-    packed: &mut Packed,
-    totals: &mut [f64; place::COUNT],
-) {
+fn add_up<S: Simd>(simd: S, about: &About<S::f32s>, packed: &mut Packed, sums: &mut PlaneSums) {
+    sums.readings += packed.count;
+    let totals = &mut sums.totals;
     let count = packed.fill_up(simd);
     let mut own = [simd.splat_f32s(0.0); 6];
     let [x, y, z, inverse, gain, fit_gain] = &mut packed.columns;

@@ -82,6 +82,8 @@ pub(in super::super) struct Blocks {
 #[derive(Clone, Copy, Debug)]
 struct Run {
     step: usize,
+    /// The first cell of the step.
+    row: usize,
     /// First and one beyond the last of its lanes.
     lanes: (usize, usize),
 }
@@ -114,13 +116,14 @@ impl Blocks {
         self.runs.clear();
         self.runs.extend(runs.clone().map(|run| {
             let step = run.start / lanes;
-            Run { step, lanes: (run.start - step * lanes, run.end - step * lanes) }
+            let row = step * lanes;
+            Run { step, row, lanes: (run.start - row, run.end - row) }
         }));
         let cells: usize = self.runs.iter().map(Run::len).sum();
         if cells < FEWEST {
             return PlaneSums::over(reference, columns, runs, packed);
         }
-        self.divide(reference, columns, (lanes, cells), packed);
+        self.divide(reference, columns, cells, packed);
         let mut all = PlaneSums::none(reference);
         self.sums.iter().for_each(|sums| all.add(sums));
         all
@@ -150,7 +153,7 @@ impl Blocks {
         &mut self,
         reference: Reference,
         columns: Columns,
-        (lanes, cells): (usize, usize),
+        cells: usize,
         packed: &mut Packed,
     ) {
         let (mut begin, mut taken) = (0, 0);
@@ -171,10 +174,9 @@ impl Blocks {
                     if runs.is_empty() { 0 } else { left + part * (right - left) / SIDE }
                 };
                 let (from, to) = (cut(part), cut(part + 1));
-                let clipped = runs.iter().filter_map(|run| {
-                    let start = run.step * lanes;
+                let clipped = runs.iter().map(move |run| {
                     let (a, b) = (run.lanes.0.max(from), run.lanes.1.min(to));
-                    (a < b).then_some(start + a..start + b)
+                    run.row + a..run.row + b
                 });
                 self.sums.push(PlaneSums::over(reference, columns, clipped, packed));
             }
