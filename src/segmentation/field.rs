@@ -8,6 +8,7 @@
 
 use super::near::Rim;
 use super::noise::ReadingErrors;
+use super::positions::StepFinder;
 use crate::scan::PointGrid;
 use pulp::{Arch, Simd, WithSimd};
 
@@ -19,8 +20,6 @@ const SATURATED: f32 = 0.9985;
 const FEWEST_SATURATED: u32 = 32;
 /// Pairs of cells that are looked at to measure one angular pitch.
 const PITCH_SAMPLES: usize = 64;
-/// Lanes that are looked at to measure the pitch between two steps.
-const LANE_SAMPLES: usize = 9;
 
 /// One scan, step after step; all arrays are `steps * lanes` long.
 #[derive(Clone, Debug, Default)]
@@ -54,6 +53,7 @@ pub(super) struct Field {
     pub rim: Rim,
     /// Ranges of the nearest and of the farthest return.
     pub extent: [f32; 2],
+    step_finder: StepFinder,
     samples: Vec<f32>,
     turned: Vec<[f32; 3]>,
 }
@@ -142,7 +142,8 @@ impl Field {
         self.row_sigmas_rad.clear();
         self.row_sigmas_rad.extend_from_slice(grid.row_sigmas_rad());
         self.drop_saturated();
-        self.measure_positions();
+        let Self { x, y, z, inverse, steps, lanes, along_rad, step_finder, positions, .. } = self;
+        step_finder.find([x, y, z, inverse], (*steps, *lanes), *along_rad, positions);
     }
 
     fn fill(&mut self, points: &[[f32; 3]]) {
@@ -199,57 +200,6 @@ impl Field {
         }
         self.saturated = count;
         self.extent = self.find_extent();
-    }
-
-    /// The angle of each step from the first: tilts need not be evenly spaced.
-    ///
-    /// The beams of a nodding laser go round circles of different sizes, so that what a step is as wide as is
-    /// told in units of each lane's own pitch: otherwise it would depend on which lanes have returns.
-    fn measure_positions(&mut self) {
-        let stride = self.lanes.div_ceil(LANE_SAMPLES).max(1);
-        let Self { x, y, z, inverse, samples, .. } = self;
-        samples.clear();
-        samples.resize(self.steps * LANE_SAMPLES, f32::INFINITY);
-        // Where the rays of the sampled lanes point at the step before, and the sums of their chords.
-        let mut before = [None; LANE_SAMPLES];
-        let mut lanes = [(0.0, 0.0); LANE_SAMPLES];
-        for (step, chords) in samples.as_chunks_mut::<LANE_SAMPLES>().0.iter_mut().enumerate() {
-            let sampled = (stride / 2..self.lanes).step_by(stride);
-            let known = before.iter_mut().zip(&mut lanes).zip(chords);
-            for (lane, ((before, (sum, count)), chord)) in sampled.zip(known) {
-                let cell = step * self.lanes + lane;
-                let scale = inverse[cell];
-                let ray = [x[cell], y[cell], z[cell]].map(|v| v * scale);
-                let ray = (scale > 0.0).then_some(ray);
-                if let (Some(before), Some(ray)) = (*before, ray) {
-                    *chord = square_chord(before, ray).sqrt();
-                    *sum += *chord;
-                    *count += 1.0;
-                }
-                *before = ray;
-            }
-        }
-        let per_pitch = lanes.map(|(sum, count)| if sum > 0.0 { count / sum } else { 1.0 });
-        let along_rad = self.along_rad;
-        let mut position = 0.0;
-        self.positions.clear();
-        for (step, chords) in samples.as_chunks::<LANE_SAMPLES>().0.iter().enumerate() {
-            if step > 0 {
-                let (mut shares, mut count) = ([f32::INFINITY; LANE_SAMPLES], 0);
-                for (&chord, &per_pitch) in chords.iter().zip(&per_pitch) {
-                    shares[count] = chord * per_pitch;
-                    count += usize::from(chord < f32::INFINITY);
-                }
-                let middle = if count == LANE_SAMPLES {
-                    Some(middle_of_nine(shares))
-                } else {
-                    median(&mut shares[..count])
-                };
-                // Equal rows would make filters singular.
-                position += (middle.unwrap_or(1.0) * along_rad).max(0.05 * along_rad).max(1e-6);
-            }
-            self.positions.push(position);
-        }
     }
 
     /// Distance of the unit directions of two valid cells.
@@ -394,21 +344,6 @@ fn median_pitch(
     }
     samples.truncate(count);
     median(samples).map_or(f32::INFINITY, |square| square.sqrt().max(1e-6))
-}
-
-/// The fifth of nine numbers by their size: the middle one of the greatest of the least of three groups of
-/// three, of the middle one of their middles, and of the least of their greatest.
-fn middle_of_nine(values: [f32; 9]) -> f32 {
-    let ordered = |a: f32, b: f32, c: f32| {
-        let (low, high) = (a.min(b), a.max(b));
-        [low.min(c), low.max(high.min(c)), high.max(c)]
-    };
-    let [a, b, c, d, e, f, g, h, i] = values;
-    let (first, second, third) = (ordered(a, b, c), ordered(d, e, f), ordered(g, h, i));
-    let greatest = first[0].max(second[0]).max(third[0]);
-    let middle = ordered(first[1], second[1], third[1])[1];
-    let least = first[2].min(second[2]).min(third[2]);
-    ordered(greatest, middle, least)[1]
 }
 
 /// So many values are counted faster than parted.

@@ -33,6 +33,7 @@ mod noise_model;
 mod outermost;
 mod pairs;
 mod paper;
+mod positions;
 mod residual;
 mod run;
 mod segments;

@@ -1,0 +1,120 @@
+//! The angles between the steps of a scan: tilts need not be evenly spaced.
+
+use super::field::median;
+
+/// Lanes that are looked at to measure the pitch between two steps.
+const SAMPLES: usize = 9;
+
+/// Finds where the steps of a scan are. The buffers are kept from scan to scan.
+#[derive(Clone, Debug, Default)]
+pub(super) struct StepFinder {
+    /// Directions of the sampled lanes at each step, lane after lane; not a number where there is no return.
+    rays: [Vec<f32>; 3],
+    /// Squared chords from each step to the next one, lane after lane.
+    squares: Vec<f32>,
+    /// Their median over the lanes.
+    middles: Vec<f32>,
+}
+
+impl StepFinder {
+    /// Writes the angle of each step from the first, for arrays of coordinates and inverse ranges so many
+    /// lanes wide; `pitch_rad` is the usual angle between two steps.
+    pub fn find(
+        &mut self,
+        arrays: [&[f32]; 4],
+        (steps, lanes): (usize, usize),
+        pitch_rad: f32,
+        positions: &mut Vec<f32>,
+    ) {
+        positions.clear();
+        if steps == 0 {
+            return;
+        }
+        self.take_rays(arrays, steps, lanes);
+        self.measure(steps);
+        let mut position = 0.0;
+        positions.push(position);
+        for (step, &middle) in self.middles.iter().enumerate() {
+            let middle =
+                if middle.is_nan() { self.median_of_few(step, steps) } else { Some(middle) };
+            let gap = middle.map_or(pitch_rad, f32::sqrt);
+            // Equal rows would make filters singular.
+            position += gap.max(0.05 * pitch_rad).max(1e-6);
+            positions.push(position);
+        }
+    }
+
+    fn take_rays(&mut self, arrays: [&[f32]; 4], steps: usize, lanes: usize) {
+        for ray in &mut self.rays {
+            ray.clear();
+            ray.resize(SAMPLES * steps, f32::NAN);
+        }
+        let stride = lanes.div_ceil(SAMPLES).max(1);
+        let [rx, ry, rz] = &mut self.rays;
+        let [x, y, z, inverse] = arrays.map(|array| array.chunks_exact(lanes.max(1)));
+        for (step, (((x, y), z), inverse)) in x.zip(y).zip(z).zip(inverse).enumerate() {
+            let mut place = step;
+            for lane in (stride / 2..lanes).step_by(stride) {
+                let scale = if inverse[lane] > 0.0 { inverse[lane] } else { f32::NAN };
+                rx[place] = x[lane] * scale;
+                ry[place] = y[lane] * scale;
+                rz[place] = z[lane] * scale;
+                place += steps;
+            }
+        }
+    }
+
+    /// The medians of the chords, where there are all of them; not a number where there are not.
+    fn measure(&mut self, steps: usize) {
+        let gaps = steps - 1;
+        self.squares.resize(SAMPLES * gaps, 0.0);
+        self.middles.resize(gaps, 0.0);
+        if gaps == 0 {
+            return;
+        }
+        let [rx, ry, rz] = self.rays.each_ref().map(|ray| ray.chunks_exact(steps));
+        for (((x, y), z), squares) in rx.zip(ry).zip(rz).zip(self.squares.chunks_exact_mut(gaps)) {
+            let pairs = [x, y, z].map(|ray| ray[..gaps].iter().zip(&ray[1..]));
+            let [x, y, z] = pairs;
+            for (((x, y), z), square) in x.zip(y).zip(z).zip(squares) {
+                let [x, y, z] = [x, y, z].map(|(before, here)| before - here);
+                *square = x * x + y * y + z * z;
+            }
+        }
+        let mut lanes = self.squares.chunks_exact(gaps);
+        let lanes: [&[f32]; SAMPLES] = std::array::from_fn(|_| lanes.next().unwrap_or_default());
+        for (gap, middle) in self.middles.iter_mut().enumerate() {
+            let squares = lanes.map(|lane| lane[gap]);
+            let sum: f32 = squares.iter().sum();
+            *middle = if sum.is_nan() { f32::NAN } else { middle_of_nine(squares) };
+        }
+    }
+
+    /// The median of the chords from a step to the next one that there are.
+    fn median_of_few(&self, step: usize, steps: usize) -> Option<f32> {
+        let (mut few, mut count) = ([0.0; SAMPLES], 0);
+        for &square in self.squares[step..].iter().step_by(steps - 1) {
+            few[count] = square;
+            count += usize::from(!square.is_nan());
+        }
+        median(&mut few[..count])
+    }
+}
+
+/// The fifth of nine numbers by their size: the middle one of the greatest of the least of three groups of
+/// three, of the middle one of their middles, and of the least of their greatest.
+#[inline]
+fn middle_of_nine(values: [f32; SAMPLES]) -> f32 {
+    let least = |a: f32, b: f32| if a < b { a } else { b };
+    let greatest = |a: f32, b: f32| if a < b { b } else { a };
+    let ordered = |a: f32, b: f32, c: f32| {
+        let (low, high) = (least(a, b), greatest(a, b));
+        [least(low, c), greatest(low, least(high, c)), greatest(high, c)]
+    };
+    let [a, b, c, d, e, f, g, h, i] = values;
+    let (first, second, third) = (ordered(a, b, c), ordered(d, e, f), ordered(g, h, i));
+    let low = greatest(greatest(first[0], second[0]), third[0]);
+    let middle = ordered(first[1], second[1], third[1])[1];
+    let high = least(least(first[2], second[2]), third[2]);
+    ordered(low, middle, high)[1]
+}
