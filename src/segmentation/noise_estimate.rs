@@ -147,13 +147,17 @@ impl Filing for BySlope<'_> {
     }
 }
 
-/// Samples that are filed at a time.
-const FILED: usize = 64;
+/// Samples that are reckoned at a time, of which so many are in a vector, and so many are filed in a go.
+const RECKONED: usize = 256;
+const IN_VECTOR: usize = 8;
+const FILED: usize = 4;
 
-/// Files the samples of a step; those of cells without a return go beyond all classes.
+/// Files the first `count` samples of a step; those of cells without a return go beyond all classes. There may
+/// be readings of others after them, for vectors to be full.
 struct FileStep<'a, F> {
     filing: F,
     step: usize,
+    count: usize,
     rows: [&'a [f32]; 4],
     ranges: &'a [f32],
     bins: &'a mut [[f32; 2]],
@@ -165,27 +169,34 @@ impl<F: Filing> WithSimd for FileStep<'_, F> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         const BEYOND: u32 = (RANGE_CLASSES * SIZE_CLASSES) as u32;
-        let Self { filing, step, rows: [a, b, c, d], ranges, bins } = self;
-        let count = ranges.len();
-        // Which bin is found for many samples at once, in arrays that nothing else can be in.
-        let (mut places, mut errors) = ([0; FILED], [0.0; FILED]);
-        for first in (0..count).step_by(FILED) {
-            let part = first..count.min(first + FILED);
+        let Self { filing, step, count, rows: [a, b, c, d], ranges, bins } = self;
+        // Which bin, and what is added to it, is found for many samples at once, in arrays that nothing else
+        // can be in.
+        let (mut places, mut samples) = ([0; RECKONED], [[0.0; 2]; RECKONED]);
+        for first in (0..count).step_by(RECKONED) {
+            let part = first..ranges.len().min(first + RECKONED);
             let (a, b) = (&a[part.clone()], &b[part.clone()]);
             let (c, d) = (&c[part.clone()], &d[part.clone()]);
-            let readings = a.iter().zip(b).zip(c).zip(d).zip(&ranges[part.clone()]);
-            let filed = places.iter_mut().zip(&mut errors);
-            for ((place, size), ((((&a, &b), &c), &d), &range)) in filed.zip(readings) {
+            let readings = a.iter().zip(b).zip(c).zip(d).zip(&ranges[part]);
+            let filed = places.iter_mut().zip(&mut samples);
+            for ((place, sample), ((((&a, &b), &c), &d), &range)) in filed.zip(readings) {
                 let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
                 let difference = Difference { first, third, range };
                 let (class, error) = filing.file(difference, step);
                 let bin = class * SIZE_CLASSES as u32 + size_class(error);
                 *place = if a * b * c * d == 0.0 { BEYOND } else { bin.min(BEYOND) };
-                *size = error;
+                *sample = [1.0, error * error];
             }
-            for (&place, &error) in places.iter().zip(&errors).take(part.len()) {
-                let bin = &mut bins[place as usize];
-                *bin = [bin[0] + 1.0, bin[1] + error * error];
+            let count = (count - first).min(RECKONED);
+            let end = count.next_multiple_of(FILED);
+            places[count..end].fill(BEYOND);
+            let (places, samples) = (&places[..end], &samples[..end]);
+            let samples = samples.as_chunks::<FILED>().0;
+            for (places, samples) in places.as_chunks::<FILED>().0.iter().zip(samples) {
+                for (&place, sample) in places.iter().zip(samples) {
+                    let bin = &mut bins[place as usize];
+                    *bin = [bin[0] + sample[0], bin[1] + sample[1]];
+                }
             }
         }
     }
@@ -364,12 +375,15 @@ impl NoiseEstimator {
         let apart = down * lanes + right;
         for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
             let first = step * lanes;
-            let row = |k: usize| &field.inverse[first + k * apart..first + k * apart + last];
+            let full = last.next_multiple_of(IN_VECTOR);
+            let width = if first + 3 * apart + full <= field.len() { full } else { last };
+            let row = |k: usize| &field.inverse[first + k * apart..first + k * apart + width];
             Arch::new().dispatch(FileStep {
                 filing,
                 step,
+                count: last,
                 rows: [row(0), row(1), row(2), row(3)],
-                ranges: &field.range[first + apart..first + apart + last],
+                ranges: &field.range[first + apart..first + apart + width],
                 bins: &mut self.bins,
             });
         }
