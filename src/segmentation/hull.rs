@@ -1,15 +1,13 @@
 //! Convex hulls of many points in a plane, without allocation.
 
-use super::outermost::Outermost;
+use super::outermost::{Flat, Outermost};
 use nalgebra::{Isometry3, Point2, Vector3};
 use std::ops::Range;
 
 /// Buffers of the hull.
 #[derive(Clone, Debug, Default)]
 pub(super) struct HullFinder {
-    /// Points, or cells, that may be vertices.
-    outer: Vec<u32>,
-    /// Cells at the ends of rows and columns.
+    /// Cells at the ends of rows and columns, and of these the ones that may be vertices.
     ends: Vec<u32>,
     outermost: Outermost,
     candidates: Vec<[f64; 2]>,
@@ -43,12 +41,12 @@ impl HullFinder {
     /// strictly inside a polygon of others, which is all but a few per cent of a filled region.
     #[cfg(test)]
     pub fn find(&mut self, points: &[[f64; 2]], hull: &mut Vec<Point2<f64>>) {
-        self.outer.clear();
-        self.outer.extend(0..points.len() as u32);
+        self.ends.clear();
+        self.ends.extend(0..points.len() as u32);
         let columns = points.iter().map(|point| point.map(|value| value as f32));
-        self.outermost.keep(columns, &mut self.outer);
+        self.outermost.keep(columns, &mut self.ends);
         self.candidates.clear();
-        self.candidates.extend(self.outer.iter().map(|&point| points[point as usize]));
+        self.candidates.extend(self.ends.iter().map(|&point| points[point as usize]));
         self.march(hull);
     }
 
@@ -91,17 +89,10 @@ impl HullFinder {
         let rotation = grid_from_plane.rotation.to_rotation_matrix().into_inner();
         let origin = grid_from_plane.translation.vector;
         let (ex, ey) = (rotation.column(0).into_owned(), rotation.column(1).into_owned());
-        let ([ax, ay, az], [bx, by, bz]) = (narrow(&ex), narrow(&ey));
-        let [ox, oy, oz] = narrow(&origin);
-        let columns = self.ends.iter().map(|&cell| {
-            let cell = cell as usize;
-            let (x, y, z) = (x[cell] - ox, y[cell] - oy, z[cell] - oz);
-            [ax * x + ay * y + az * z, bx * x + by * y + bz * z]
-        });
-        self.outer.clone_from(&self.ends);
-        self.outermost.keep(columns, &mut self.outer);
+        let frame = Flat { origin: narrow(&origin), sides: [narrow(&ex), narrow(&ey)] };
+        self.outermost.keep_in_plane([x, y, z], &frame, &mut self.ends);
         self.candidates.clear();
-        self.candidates.extend(self.outer.iter().map(|&cell| {
+        self.candidates.extend(self.ends.iter().map(|&cell| {
             let cell = cell as usize;
             let d = Vector3::new(x[cell], y[cell], z[cell]).cast::<f64>() - origin;
             [ex.dot(&d), ey.dot(&d)]
@@ -160,10 +151,13 @@ impl HullFinder {
             }
             let columns = run.start - row..run.end - row;
             here = (here.0.min(columns.start), here.1.max(columns.end));
+            if columns.start >= seen.0 && columns.end <= seen.1 {
+                continue;
+            }
             let left = columns.start..columns.end.min(seen.0);
             let right = columns.start.max(seen.1).max(left.end)..columns.end;
-            for column in left.chain(right) {
-                self.ends.push((row + column) as u32);
+            for columns in [left, right] {
+                self.ends.extend(columns.map(|column| (row + column) as u32));
             }
         }
     }

@@ -21,22 +21,55 @@ const FEW: usize = 32;
 pub(super) struct Outermost {
     x: Vec<f32>,
     y: Vec<f32>,
+    /// The third coordinate of what is to be carried into a plane.
+    z: Vec<f32>,
     /// How far each point is to the left of the nearest edge.
     inside: Vec<f32>,
+    /// Places of the points that are kept.
+    kept: Vec<u32>,
+}
+
+/// The frame of a plane in space.
+pub(super) struct Flat {
+    pub origin: [f32; 3],
+    /// Its two axes.
+    pub sides: [[f32; 3]; 2],
 }
 
 impl Outermost {
     /// Takes the points that are strictly inside a polygon of others out of a list; they are given as
     /// it names them.
-    ///
-    /// The polygon starts with the extreme points in eight directions, and between two of its
-    /// vertices comes the point that is farthest beyond their edge, twice.
+    #[cfg(test)]
     pub fn keep(&mut self, points: impl Iterator<Item = [f32; 2]>, named: &mut Vec<u32>) {
         self.x.resize(named.len(), 0.0);
         self.y.resize(named.len(), 0.0);
         for ((point, x), y) in points.zip(&mut self.x).zip(&mut self.y) {
             [*x, *y] = point;
         }
+        self.drop_inside(named);
+    }
+
+    /// Takes cells out of a list whose points in a plane are strictly inside a polygon of others.
+    pub fn keep_in_plane(&mut self, points: [&[f32]; 3], flat: &Flat, named: &mut Vec<u32>) {
+        let count = named.len();
+        for array in [&mut self.x, &mut self.y, &mut self.z] {
+            array.resize(count, 0.0);
+        }
+        let length = points[0].len();
+        let points = points.map(|array| &array[..length]);
+        let places = self.x.iter_mut().zip(&mut self.y).zip(&mut self.z);
+        for (&cell, ((x, y), z)) in named.iter().zip(places) {
+            [*x, *y, *z] = points.map(|array| array[cell as usize]);
+        }
+        Arch::new().dispatch(Flatten { flat, columns: self });
+        self.drop_inside(named);
+    }
+
+    /// Drops what is inside.
+    ///
+    /// The polygon starts with the extreme points in eight directions, and between two of its
+    /// vertices comes the point that is farthest beyond their edge, twice.
+    fn drop_inside(&mut self, named: &mut Vec<u32>) {
         if named.is_empty() {
             return;
         }
@@ -71,18 +104,46 @@ impl Outermost {
         let reach = polygon.iter().flatten().fold(0.0_f32, |reach, value| reach.max(value.abs()));
         let rounding = ROUNDING * reach * reach;
         run(Inside { columns: self, polygon });
+        // Where the kept ones are is listed first: most are dropped.
         let count = named.len();
-        let (x, y) = (&mut self.x[..count], &mut self.y[..count]);
-        let inside = &self.inside[..count];
+        self.kept.resize(count, 0);
+        let places = &mut self.kept[..count];
         let mut kept = 0;
-        for i in 0..count {
-            (x[kept], y[kept], named[kept]) = (x[i], y[i], named[i]);
-            kept += usize::from(inside[i] <= rounding);
+        for (place, &inside) in (0..).zip(&self.inside[..count]) {
+            places[kept] = place;
+            kept += usize::from(inside <= rounding);
+        }
+        let (x, y, names) = (&mut self.x[..count], &mut self.y[..count], &mut named[..count]);
+        for (to, &from) in places[..kept].iter().enumerate() {
+            let from = from as usize;
+            (x[to], y[to], names[to]) = (x[from], y[from], names[from]);
         }
         self.x.truncate(kept);
         self.y.truncate(kept);
         named.truncate(kept);
         self.fill_up();
+    }
+}
+
+/// Carries points into a plane.
+struct Flatten<'a> {
+    flat: &'a Flat,
+    columns: &'a mut Outermost,
+}
+
+impl WithSimd for Flatten<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Self { flat: Flat { origin: [ox, oy, oz], sides }, columns } = self;
+        let [[ax, ay, az], [bx, by, bz]] = sides;
+        let Outermost { x, y, z, .. } = columns;
+        for ((x, y), z) in x.iter_mut().zip(y).zip(z) {
+            let d = [*x - ox, *y - oy, *z - oz];
+            *x = ax * d[0] + ay * d[1] + az * d[2];
+            *y = bx * d[0] + by * d[1] + bz * d[2];
+        }
     }
 }
 
@@ -183,7 +244,7 @@ impl WithSimd for Inside<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { columns: Outermost { x, y, inside }, polygon } = self;
+        let Self { columns: Outermost { x, y, inside, .. }, polygon } = self;
         let (x, y) = (S::as_simd_f32s(x).0, S::as_simd_f32s(y).0);
         let inside = S::as_mut_simd_f32s(inside).0;
         for inside in &mut *inside {
