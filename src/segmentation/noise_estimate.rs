@@ -152,50 +152,58 @@ const RECKONED: usize = 256;
 const IN_VECTOR: usize = 8;
 const FILED: usize = 4;
 
-/// Files the first `count` samples of a step; those of cells without a return go beyond all classes. There may
-/// be readings of others after them, for vectors to be full.
-struct FileStep<'a, F> {
+/// Files the samples of some steps; those of cells without a return go beyond all classes.
+struct FileSteps<'a, F> {
     filing: F,
-    step: usize,
+    inverse: &'a [f32],
+    range: &'a [f32],
+    lanes: usize,
+    /// The steps, and from one to the next that is looked at.
+    steps: Range<usize>,
+    stride: usize,
+    /// Cells between the readings of a sample, and samples of a step.
+    apart: usize,
     count: usize,
-    rows: [&'a [f32]; 4],
-    ranges: &'a [f32],
     bins: &'a mut [[f32; 2]],
 }
 
-impl<F: Filing> WithSimd for FileStep<'_, F> {
+impl<F: Filing> WithSimd for FileSteps<'_, F> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         const BEYOND: u32 = (RANGE_CLASSES * SIZE_CLASSES) as u32;
-        let Self { filing, step, count, rows: [a, b, c, d], ranges, bins } = self;
+        let Self { filing, inverse, range, lanes, steps, stride, apart, count, bins } = self;
         // Which bin, and what is added to it, is found for many samples at once, in arrays that nothing else
         // can be in.
         let (mut places, mut samples) = ([0; RECKONED], [[0.0; 2]; RECKONED]);
-        for first in (0..count).step_by(RECKONED) {
-            let part = first..ranges.len().min(first + RECKONED);
-            let (a, b) = (&a[part.clone()], &b[part.clone()]);
-            let (c, d) = (&c[part.clone()], &d[part.clone()]);
-            let readings = a.iter().zip(b).zip(c).zip(d).zip(&ranges[part]);
-            let filed = places.iter_mut().zip(&mut samples);
-            for ((place, sample), ((((&a, &b), &c), &d), &range)) in filed.zip(readings) {
-                let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
-                let difference = Difference { first, third, range };
-                let (class, error) = filing.file(difference, step);
-                let bin = class * SIZE_CLASSES as u32 + size_class(error);
-                *place = if a * b * c * d == 0.0 { BEYOND } else { bin.min(BEYOND) };
-                *sample = [1.0, error * error];
-            }
-            let count = (count - first).min(RECKONED);
-            let end = count.next_multiple_of(FILED);
-            places[count..end].fill(BEYOND);
-            let (places, samples) = (&places[..end], &samples[..end]);
-            let samples = samples.as_chunks::<FILED>().0;
-            for (places, samples) in places.as_chunks::<FILED>().0.iter().zip(samples) {
-                for (&place, sample) in places.iter().zip(samples) {
-                    let bin = &mut bins[place as usize];
-                    *bin = [bin[0] + sample[0], bin[1] + sample[1]];
+        for step in steps.step_by(stride) {
+            for part in (0..count).step_by(RECKONED) {
+                let (first, count) = (step * lanes + part, (count - part).min(RECKONED));
+                // There are readings of others after the last ones, for vectors to be full.
+                let full = count.next_multiple_of(IN_VECTOR);
+                let width = if first + 3 * apart + full <= inverse.len() { full } else { count };
+                let row = |k: usize| &inverse[first + k * apart..first + k * apart + width];
+                let ranges = &range[first + apart..first + apart + width];
+                let readings = row(0).iter().zip(row(1)).zip(row(2)).zip(row(3)).zip(ranges);
+                let filed = places.iter_mut().zip(&mut samples);
+                for ((place, sample), ((((&a, &b), &c), &d), &range)) in filed.zip(readings) {
+                    let (first, third) = (d - a, (a - d) + 3.0 * (c - b));
+                    let difference = Difference { first, third, range };
+                    let (class, error) = filing.file(difference, step);
+                    let bin = class * SIZE_CLASSES as u32 + size_class(error);
+                    *place = if a * b * c * d == 0.0 { BEYOND } else { bin.min(BEYOND) };
+                    *sample = [1.0, error * error];
+                }
+                let end = count.next_multiple_of(FILED);
+                places[count..end].fill(BEYOND);
+                let (places, samples) = (&places[..end], &samples[..end]);
+                let samples = samples.as_chunks::<FILED>().0;
+                for (places, samples) in places.as_chunks::<FILED>().0.iter().zip(samples) {
+                    for (&place, sample) in places.iter().zip(samples) {
+                        let bin = &mut bins[place as usize];
+                        *bin = [bin[0] + sample[0], bin[1] + sample[1]];
+                    }
                 }
             }
         }
@@ -371,22 +379,17 @@ impl NoiseEstimator {
         if last == 0 {
             return;
         }
-        let stride = (field.len() / samples).max(1);
-        let apart = down * lanes + right;
-        for step in (0..field.steps.saturating_sub(3 * down)).step_by(stride) {
-            let first = step * lanes;
-            let full = last.next_multiple_of(IN_VECTOR);
-            let width = if first + 3 * apart + full <= field.len() { full } else { last };
-            let row = |k: usize| &field.inverse[first + k * apart..first + k * apart + width];
-            Arch::new().dispatch(FileStep {
-                filing,
-                step,
-                count: last,
-                rows: [row(0), row(1), row(2), row(3)],
-                ranges: &field.range[first + apart..first + apart + width],
-                bins: &mut self.bins,
-            });
-        }
+        Arch::new().dispatch(FileSteps {
+            filing,
+            inverse: &field.inverse,
+            range: &field.range,
+            lanes,
+            steps: 0..field.steps.saturating_sub(3 * down),
+            stride: (field.len() / samples).max(1),
+            apart: down * lanes + right,
+            count: last,
+            bins: &mut self.bins,
+        });
     }
 
     /// Samples in classes.
