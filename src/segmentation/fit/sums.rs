@@ -124,7 +124,22 @@ impl PlaneSums {
         runs: impl Iterator<Item = Range<usize>>,
         packed: &mut Packed,
     ) -> Self {
-        run(Summation { reference, columns, runs, packed })
+        let mut sums = [Self::none(reference)];
+        Self::add_blocks(&mut sums, columns, std::iter::once(runs), packed);
+        let [sums] = sums;
+        sums
+    }
+
+    /// Adds what the runs of each block sum up to, all about the plane of the first sums.
+    pub fn add_blocks(
+        sums: &mut [Self],
+        columns: Columns,
+        blocks: impl Iterator<Item = impl Iterator<Item = Range<usize>>>,
+        packed: &mut Packed,
+    ) {
+        if let Some(&Self { reference, .. }) = sums.first() {
+            run(Summation { reference, columns, blocks, packed, sums });
+        }
     }
 
     /// The sums over no readings.
@@ -153,41 +168,42 @@ fn run<W: WithSimd>(work: W) -> W::Output {
     }
 }
 
-/// Summing over runs, for vectors of some width.
+/// Summing over the runs of blocks, for vectors of some width.
 struct Summation<'a, I> {
     reference: Reference,
     columns: Columns<'a>,
-    runs: I,
+    blocks: I,
     packed: &'a mut Packed,
+    sums: &'a mut [PlaneSums],
 }
 
-impl<I: Iterator<Item = Range<usize>>> WithSimd for Summation<'_, I> {
-    type Output = PlaneSums;
+impl<I: Iterator<Item: Iterator<Item = Range<usize>>>> WithSimd for Summation<'_, I> {
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> PlaneSums {
-        let Self { reference, columns, runs, packed } = self;
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { reference, columns, blocks, packed, sums } = self;
         let about = About::of(simd, &reference);
         let (columns, length) = columns.all();
-        let mut sums = PlaneSums::none(reference);
         packed.count = 0;
-        for run in runs {
-            let mut at = run.start;
-            while at < run.end {
-                let vectors = if at + S::F32_LANES <= length {
-                    columns.map(|column| S::as_simd_f32s(&column[at..at + S::F32_LANES]).0[0])
-                } else {
-                    columns.map(|column| simd.partial_load_f32s(&column[at..]))
-                };
-                packed.put(simd, vectors, (run.end - at).min(S::F32_LANES));
-                if packed.count >= Packed::FULL {
-                    add_up(simd, &about, packed, &mut sums);
+        for (runs, sums) in blocks.zip(sums) {
+            for run in runs {
+                let mut at = run.start;
+                while at < run.end {
+                    let vectors = if at + S::F32_LANES <= length {
+                        columns.map(|column| S::as_simd_f32s(&column[at..at + S::F32_LANES]).0[0])
+                    } else {
+                        columns.map(|column| simd.partial_load_f32s(&column[at..]))
+                    };
+                    packed.put(simd, vectors, (run.end - at).min(S::F32_LANES));
+                    if packed.count >= Packed::FULL {
+                        add_up(simd, &about, packed, sums);
+                    }
+                    at += S::F32_LANES;
                 }
-                at += S::F32_LANES;
             }
+            add_up(simd, &about, packed, sums);
         }
-        add_up(simd, &about, packed, &mut sums);
-        sums
     }
 }
 

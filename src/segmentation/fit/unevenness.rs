@@ -156,32 +156,34 @@ impl Blocks {
         cells: usize,
         packed: &mut Packed,
     ) {
-        let (mut begin, mut taken) = (0, 0);
-        for band in 1..=SIDE {
-            let mut end = begin;
-            while end < self.runs.len() {
-                let is_same_step = end > begin && self.runs[end].step == self.runs[end - 1].step;
-                if taken >= band * cells / SIDE && !is_same_step {
+        let Self { runs, sums } = self;
+        let (mut end, mut taken) = (0, 0);
+        let bands: [(&[Run], usize, usize); SIDE] = std::array::from_fn(|band| {
+            let begin = end;
+            let (mut left, mut right) = (usize::MAX, 0);
+            while end < runs.len() {
+                let is_same_step = end > begin && runs[end].step == runs[end - 1].step;
+                if taken >= (band + 1) * cells / SIDE && !is_same_step {
                     break;
                 }
-                taken += self.runs[end].len();
+                let lanes = runs[end].lanes;
+                (left, right) = (left.min(lanes.0), right.max(lanes.1));
+                taken += lanes.1 - lanes.0;
                 end += 1;
             }
-            let runs = &self.runs[begin..end];
-            let (left, right) = ends(runs);
-            for part in 0..SIDE {
-                let cut = |part: usize| {
-                    if runs.is_empty() { 0 } else { left + part * (right - left) / SIDE }
-                };
-                let (from, to) = (cut(part), cut(part + 1));
-                let clipped = runs.iter().map(move |run| {
-                    let (a, b) = (run.lanes.0.max(from), run.lanes.1.min(to));
-                    run.row + a..run.row + b
-                });
-                self.sums.push(PlaneSums::over(reference, columns, clipped, packed));
-            }
-            begin = end;
-        }
+            (&runs[begin..end], left.min(right), right)
+        });
+        let blocks = (0..SIDE * SIDE).map(|at| {
+            let (runs, left, right) = bands[at / SIDE];
+            let cut = |part: usize| left + part * (right - left) / SIDE;
+            let (from, to) = (cut(at % SIDE), cut(at % SIDE + 1));
+            runs.iter().map(move |run| {
+                let (a, b) = (run.lanes.0.max(from), run.lanes.1.min(to));
+                run.row + a..run.row + b
+            })
+        });
+        sums.resize(SIDE * SIDE, PlaneSums::none(reference));
+        PlaneSums::add_blocks(sums, columns, blocks, packed);
     }
 
     fn judge(
