@@ -29,6 +29,7 @@ mod morphology;
 mod near;
 mod noise;
 mod noise_estimate;
+mod noise_filing;
 mod noise_model;
 mod outermost;
 mod pairs;
