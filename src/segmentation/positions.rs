@@ -118,3 +118,22 @@ fn middle_of_nine(values: [f32; SAMPLES]) -> f32 {
     let high = least(least(first[2], second[2]), third[2]);
     ordered(low, middle, high)[1]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_middle_of_nine_is_their_median(
+            values in prop::array::uniform9(0.0..4.0_f32),
+            equal in 0..9_usize,
+        ) {
+            let mut values = values;
+            values[equal] = values[0];
+            let expected = median(&mut values.clone());
+            prop_assert_eq!(Some(middle_of_nine(values)), expected);
+        }
+    }
+}
