@@ -1,4 +1,7 @@
 //! The angles between the steps of a scan: tilts need not be evenly spaced.
+//!
+//! The beams of a nodding laser go round circles of different sizes, so that what a step is as wide as is told
+//! in units of each lane's own pitch: otherwise it would depend on which lanes have returns.
 
 use super::field::median;
 
@@ -10,7 +13,7 @@ const SAMPLES: usize = 9;
 pub(super) struct StepFinder {
     /// Directions of the sampled lanes at each step, lane after lane; not a number where there is no return.
     rays: [Vec<f32>; 3],
-    /// Squared chords from each step to the next one, lane after lane.
+    /// Squared chords from each step to the next one, lane after lane, each over the mean of its lane's.
     squares: Vec<f32>,
     /// Their median over the lanes.
     middles: Vec<f32>,
@@ -37,9 +40,9 @@ impl StepFinder {
         for (step, &middle) in self.middles.iter().enumerate() {
             let middle =
                 if middle.is_nan() { self.median_of_few(step, steps) } else { Some(middle) };
-            let gap = middle.map_or(pitch_rad, f32::sqrt);
+            let pitches = middle.map_or(1.0, f32::sqrt);
             // Equal rows would make filters singular.
-            position += gap.max(0.05 * pitch_rad).max(1e-6);
+            position += (pitches.max(0.05) * pitch_rad).max(1e-6);
             positions.push(position);
         }
     }
@@ -76,9 +79,17 @@ impl StepFinder {
         for (((x, y), z), squares) in rx.zip(ry).zip(rz).zip(self.squares.chunks_exact_mut(gaps)) {
             let pairs = [x, y, z].map(|ray| ray[..gaps].iter().zip(&ray[1..]));
             let [x, y, z] = pairs;
-            for (((x, y), z), square) in x.zip(y).zip(z).zip(squares) {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for (((x, y), z), square) in x.zip(y).zip(z).zip(&mut *squares) {
                 let [x, y, z] = [x, y, z].map(|(before, here)| before - here);
                 *square = x * x + y * y + z * z;
+                let is_known = !square.is_nan();
+                sum += if is_known { *square } else { 0.0 };
+                count += if is_known { 1.0 } else { 0.0 };
+            }
+            if sum > 0.0 {
+                let per_mean = count / sum;
+                squares.iter_mut().for_each(|square| *square *= per_mean);
             }
         }
         let mut lanes = self.squares.chunks_exact(gaps);
@@ -134,6 +145,30 @@ mod tests {
             values[equal] = values[0];
             let expected = median(&mut values.clone());
             prop_assert_eq!(Some(middle_of_nine(values)), expected);
+        }
+    }
+
+    #[test]
+    fn steps_are_as_wide_whichever_lanes_have_returns() {
+        let (steps, lanes, pitch) = (40, 19, 0.02_f32);
+        let mut arrays = [const { Vec::new() }; 4];
+        for i in 0..steps * lanes {
+            let (step, lane) = (i / lanes, i % lanes);
+            let (tilt, bearing) = (step as f32 * pitch, (lane as f32 - 9.0) * 0.12);
+            let ray = [tilt.cos() * bearing.cos(), bearing.sin(), -tilt.sin() * bearing.cos()];
+            // The outer lanes end half way, the inner ones after that.
+            let is_seen = step < 20 || (step < 30 && lane.abs_diff(9) < 5) || lane == 9;
+            for (array, value) in arrays.iter_mut().zip(ray) {
+                array.push(if is_seen { 2.0 * value } else { 0.0 });
+            }
+            arrays[3].push(if is_seen { 0.5 } else { 0.0 });
+        }
+        let mut positions = Vec::new();
+        let arrays = arrays.each_ref().map(|array| &array[..]);
+        StepFinder::default().find(arrays, (steps, lanes), pitch, &mut positions);
+        assert_eq!(positions.len(), steps);
+        for (step, position) in positions.iter().enumerate() {
+            assert!((position - step as f32 * pitch).abs() < 1e-4 * pitch, "{step}: {position}");
         }
     }
 }
