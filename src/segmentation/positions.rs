@@ -162,7 +162,7 @@ mod tests {
             let (tilt, bearing) = (step as f32 * pitch, (lane as f32 - 9.0) * 0.12);
             let ray = [tilt.cos() * bearing.cos(), bearing.sin(), -tilt.sin() * bearing.cos()];
             // The outer lanes end half way, the inner ones after that.
-            let is_seen = step < 20 || (step < 30 && (5..14).contains(&lane)) || lane == 9;
+            let is_seen = step < 20 || (step < 30 && (5..14).contains(&lane)) || lane == 10;
             for (array, value) in arrays.iter_mut().zip(ray) {
                 array.push(if is_seen { 2.0 * value } else { 0.0 });
             }
