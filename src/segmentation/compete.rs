@@ -173,7 +173,8 @@ impl Competition {
             }
             // Cells that undo what they did go on like that, so whole pairs of rounds can be left out.
             let undoes = |change| self.undone.contains(change);
-            if self.changes.len() == self.undone.len().min(FEW_CHANGES)
+            if self.changes.len() == self.undone.len()
+                && self.changes.len() <= FEW_CHANGES
                 && self.changes.iter().all(undoes)
             {
                 left %= 2;

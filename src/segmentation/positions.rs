@@ -1,24 +1,23 @@
 //! The angles between the steps of a scan: tilts need not be evenly spaced.
 //!
-//! The beams of a nodding laser go round circles of different sizes, so that what a step is as wide as is told
-//! in units of each lane's own pitch: otherwise it would depend on which lanes have returns.
-
-use super::field::median;
+//! The beams of a nodding laser go round circles of different sizes, so that the chord from a step to the next
+//! one is that step's angle times a factor of the lane's own. Both are sought in turns: otherwise a step's
+//! angle would depend on which lanes have returns.
 
 /// Lanes that are looked at to measure the pitch between two steps.
 const SAMPLES: usize = 9;
+/// Times that the factors of the lanes are sought.
+const ROUNDS: usize = 2;
 
 /// Finds where the steps of a scan are. The buffers are kept from scan to scan.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StepFinder {
     /// Directions of the sampled lanes at each step, lane after lane; not a number where there is no return.
     rays: [Vec<f32>; 3],
-    /// Squared chords from each step to the next one, lane after lane, each over the mean of its lane's.
+    /// Squared chords from each step to the next one, lane after lane, over the square of the lane's factor.
     squares: Vec<f32>,
-    /// Their median over the lanes.
+    /// Their median over the lanes, not a number where no lane has one.
     middles: Vec<f32>,
-    /// The means, of the lanes that have chords.
-    means: Vec<f32>,
 }
 
 impl StepFinder {
@@ -37,13 +36,15 @@ impl StepFinder {
         }
         self.take_rays(arrays, steps, lanes);
         self.measure(steps);
-        let lane_pitch_rad = median(&mut self.means).map_or(pitch_rad, f32::sqrt);
+        self.take_medians(steps);
+        for _ in 0..ROUNDS {
+            self.scale_lanes(steps);
+            self.take_medians(steps);
+        }
         let mut position = 0.0;
         positions.push(position);
-        for (step, &middle) in self.middles.iter().enumerate() {
-            let middle =
-                if middle.is_nan() { self.median_of_few(step, steps) } else { Some(middle) };
-            let gap = middle.map_or(pitch_rad, |middle| middle.sqrt() * lane_pitch_rad);
+        for &middle in &self.middles {
+            let gap = if middle.is_nan() { pitch_rad } else { middle.sqrt() };
             // Equal rows would make filters singular.
             position += gap.max(0.05 * pitch_rad).max(1e-6);
             positions.push(position);
@@ -70,51 +71,64 @@ impl StepFinder {
         }
     }
 
-    /// The medians of the chords, where there are all of them; not a number where there are not.
     fn measure(&mut self, steps: usize) {
         let gaps = steps - 1;
         self.squares.resize(SAMPLES * gaps, 0.0);
-        self.middles.resize(gaps, 0.0);
-        self.means.clear();
         if gaps == 0 {
             return;
         }
         let [rx, ry, rz] = self.rays.each_ref().map(|ray| ray.chunks_exact(steps));
         for (((x, y), z), squares) in rx.zip(ry).zip(rz).zip(self.squares.chunks_exact_mut(gaps)) {
-            let pairs = [x, y, z].map(|ray| ray[..gaps].iter().zip(&ray[1..]));
-            let [x, y, z] = pairs;
-            let (mut sum, mut count) = (0.0, 0.0);
-            for (((x, y), z), square) in x.zip(y).zip(z).zip(&mut *squares) {
+            let [x, y, z] = [x, y, z].map(|ray| ray[..gaps].iter().zip(&ray[1..]));
+            for (((x, y), z), square) in x.zip(y).zip(z).zip(squares) {
                 let [x, y, z] = [x, y, z].map(|(before, here)| before - here);
                 *square = x * x + y * y + z * z;
-                let is_known = !square.is_nan();
-                sum += if is_known { *square } else { 0.0 };
-                count += if is_known { 1.0 } else { 0.0 };
             }
-            if sum > 0.0 {
-                self.means.push(sum / count);
-                let per_mean = count / sum;
-                squares.iter_mut().for_each(|square| *square *= per_mean);
-            }
-        }
-        let mut lanes = self.squares.chunks_exact(gaps);
-        let lanes: [&[f32]; SAMPLES] = std::array::from_fn(|_| lanes.next().unwrap_or_default());
-        for (gap, middle) in self.middles.iter_mut().enumerate() {
-            let squares = lanes.map(|lane| lane[gap]);
-            let sum: f32 = squares.iter().sum();
-            *middle = if sum.is_nan() { f32::NAN } else { middle_of_nine(squares) };
         }
     }
 
-    /// The median of the chords from a step to the next one that there are.
-    fn median_of_few(&self, step: usize, steps: usize) -> Option<f32> {
-        let (mut few, mut count) = ([0.0; SAMPLES], 0);
-        for &square in self.squares[step..].iter().step_by(steps - 1) {
-            few[count] = square;
-            count += usize::from(!square.is_nan());
+    fn take_medians(&mut self, steps: usize) {
+        let gaps = steps - 1;
+        self.middles.resize(gaps, 0.0);
+        for (gap, middle) in self.middles.iter_mut().enumerate() {
+            let squares: [f32; SAMPLES] = std::array::from_fn(|k| self.squares[k * gaps + gap]);
+            let sum: f32 = squares.iter().sum();
+            *middle = middle_of_nine(if sum.is_nan() { filled_up(squares) } else { squares });
         }
-        median(&mut few[..count])
     }
+
+    /// Divides the squares of each lane by what they are, all in all, over the medians of the same gaps.
+    fn scale_lanes(&mut self, steps: usize) {
+        let Self { squares, middles, .. } = self;
+        for squares in squares.chunks_exact_mut((steps - 1).max(1)) {
+            let (mut own, mut usual) = (0.0, 0.0);
+            for (&square, &middle) in squares.iter().zip(&*middles) {
+                own += if square.is_nan() { 0.0 } else { square };
+                usual += if square.is_nan() { 0.0 } else { middle };
+            }
+            if own > 0.0 {
+                let factor = usual / own;
+                squares.iter_mut().for_each(|square| *square *= factor);
+            }
+        }
+    }
+}
+
+/// Puts numbers below all and above all in the places of those that there are not, so that the middle one is
+/// still that of the others, the upper one of two; none at all are left as they are.
+fn filled_up(mut values: [f32; SAMPLES]) -> [f32; SAMPLES] {
+    let known = values.iter().filter(|value| !value.is_nan()).count();
+    if known == 0 {
+        return values;
+    }
+    let mut low = SAMPLES / 2 - known / 2;
+    for value in &mut values {
+        if value.is_nan() {
+            *value = if low > 0 { f32::NEG_INFINITY } else { f32::INFINITY };
+            low = low.saturating_sub(1);
+        }
+    }
+    values
 }
 
 /// The fifth of nine numbers by their size: the middle one of the greatest of the least of three groups of
@@ -137,6 +151,7 @@ fn middle_of_nine(values: [f32; SAMPLES]) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::field::median;
     use super::*;
     use proptest::prelude::*;
 
@@ -145,11 +160,15 @@ mod tests {
         fn the_middle_of_nine_is_their_median(
             values in prop::array::uniform9(0.0..4.0_f32),
             equal in 0..9_usize,
+            missing in 0..9_usize,
         ) {
             let mut values = values;
             values[equal] = values[0];
             let expected = median(&mut values.clone());
             prop_assert_eq!(Some(middle_of_nine(values)), expected);
+            values[..missing].fill(f32::NAN);
+            let expected = median(&mut values[missing..].to_vec());
+            prop_assert_eq!(Some(middle_of_nine(filled_up(values))), expected);
         }
     }
 
@@ -177,5 +196,28 @@ mod tests {
         for (step, position) in positions.iter().enumerate() {
             assert!((position - step as f32 * gap).abs() < 1e-3 * gap, "{step}: {position}");
         }
+    }
+
+    #[test]
+    fn uneven_steps_are_told_by_lanes_that_see_either_part_of_them() {
+        let (steps, lanes) = (40, 9);
+        let mut arrays = [const { Vec::new() }; 4];
+        for i in 0..steps * lanes {
+            let (step, lane): (usize, usize) = (i / lanes, i % lanes);
+            let tilt = 0.004 * step.min(20) as f32 + 0.01 * step.saturating_sub(20) as f32;
+            let bearing = (lane as f32 - 4.0) * 0.02;
+            let ray = [tilt.cos() * bearing.cos(), bearing.sin(), -tilt.sin() * bearing.cos()];
+            let is_seen = if lane < 5 { step < 24 } else { step >= 16 };
+            for (array, value) in arrays.iter_mut().zip(ray) {
+                array.push(if is_seen { 2.0 * value } else { 0.0 });
+            }
+            arrays[3].push(if is_seen { 0.5 } else { 0.0 });
+        }
+        let mut positions = Vec::new();
+        let arrays = arrays.each_ref().map(|array| &array[..]);
+        StepFinder::default().find(arrays, (steps, lanes), 0.005, &mut positions);
+        let gap = |step: usize| positions[step + 1] - positions[step];
+        assert!((gap(4) / 0.004 - 1.0).abs() < 0.01, "{}", gap(4));
+        assert!((gap(31) / 0.01 - 1.0).abs() < 0.01, "{}", gap(31));
     }
 }
