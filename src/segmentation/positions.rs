@@ -193,8 +193,9 @@ mod tests {
         assert_eq!(positions.len(), steps);
         let gap = positions[1];
         assert!((0.4..=1.0).contains(&(gap / pitch)), "{gap}");
-        for (step, position) in positions.iter().enumerate() {
-            assert!((position - step as f32 * gap).abs() < 1e-3 * gap, "{step}: {position}");
+        for (step, pair) in positions.windows(2).enumerate() {
+            let share = (pair[1] - pair[0]) / gap;
+            assert!((share - 1.0).abs() < 3e-3, "{step}: {share}");
         }
     }
 
