@@ -22,6 +22,23 @@ const KEPT_VARIANCE: f64 = 0.2146;
 /// The same for differences over wider pitches, up to 65 % of which may be edges.
 const FAR_KEPT: f64 = 0.35;
 const FAR_KEPT_VARIANCE: f64 = 0.0667;
+/// The part of them that tells how many are edges, as they scatter more and more the more of them are kept,
+/// and its variance.
+const CHECKED: f64 = 0.7;
+const CHECKED_VARIANCE: f64 = 0.3096;
+/// Where each twentieth of the differences cross edges, from none on: what the part that is checked has more
+/// of a variance than the part that is kept, and this one than there is without them. With `v(q)` the
+/// variance of a standard normal variable that is cut at its q quantile of size, and a share p of edges, both
+/// follow from `v(q / (1 - p)) / v(q)`.
+const BY_EDGES: [(f64, f64); 7] = [
+    (1.0, 1.0),
+    (1.0219, 1.1131),
+    (1.0506, 1.2469),
+    (1.0900, 1.4069),
+    (1.1477, 1.6008),
+    (1.2442, 1.8389),
+    (1.5120, 2.1365),
+];
 /// Ratio of variances beyond which the wider pitch counts.
 const MUCH_LARGER: f64 = 1.7;
 /// Smallest standard deviation that is told apart: readings that are rounded may all agree.
@@ -113,12 +130,12 @@ impl NoiseEstimator {
         }
         let pitch = ((field.across_rad / field.along_rad).round() as usize).clamp(3, 8);
         let near = self.measure(field, span, Probe::near());
-        let (along, _) = self.measure(field, span, Probe::far(pitch, 0));
-        let (across, _) = self.measure(field, span, Probe::far(0, 1));
-        let alike = growth(&near.0, &along) > MUCH_LARGER;
         // Noise of one size has the same variance whatever part of it is kept.
         let mixed = growth(&near.1, &near.0) > MIXED;
         let near = near.0;
+        let along = self.measure_far(field, span, [pitch, 0], mixed);
+        let across = self.measure_far(field, span, [0, 1], mixed);
+        let alike = growth(&near, &along) > MUCH_LARGER;
         let angle = if alike || mixed || growth(&across, &near) > MUCH_LARGER {
             self.angle_error(field, span, pitch, &near)
         } else {
@@ -127,7 +144,7 @@ impl NoiseEstimator {
         if !alike && angle.is_none() {
             return ReadingErrors::independent(self.model([&near, &along, &across]));
         }
-        let (along, length) = self.follow(field, span, [pitch, 0], along, &near);
+        let (along, length) = self.follow(field, (span, mixed), [pitch, 0], along, &near);
         let common = if alike { (1.0 - 1.0 / growth(&near, &along)).max(0.0) } else { 0.0 };
         let run = 1.0 + common * (length - 1.0);
         if let Some(angle_rad) = angle {
@@ -135,7 +152,7 @@ impl NoiseEstimator {
             let noise = self.model([&near, &across]);
             return ReadingErrors { noise, angle_rad, common, run, patch: run, inflation: run };
         }
-        let (across, width) = self.follow(field, span, [0, 1], across, &across);
+        let (across, width) = self.follow(field, (span, mixed), [0, 1], across, &across);
         let noise = self.model([&near, &along, &across]);
         let patch = 1.0 + common * (length * width - 1.0);
         ReadingErrors { noise, angle_rad: 0.0, common, run, patch, inflation: patch }
@@ -162,7 +179,7 @@ impl NoiseEstimator {
     fn follow(
         &mut self,
         field: &Field,
-        span: (f32, f32),
+        (span, mixed): ((f32, f32), bool),
         [down, right]: [usize; 2],
         first: Classes,
         least: &Classes,
@@ -179,8 +196,8 @@ impl NoiseEstimator {
             if 2 * scale * down.max(right) > widest || count == steps.len() {
                 break;
             }
-            let probe = Probe::far(2 * scale * down, 2 * scale * right);
-            let (next, _) = self.measure(field, span, probe);
+            let wider = [2 * scale * down, 2 * scale * right];
+            let next = self.measure_far(field, span, wider, mixed);
             if growth(&last, &next) < STILL_GROWING {
                 break;
             }
@@ -269,8 +286,23 @@ impl NoiseEstimator {
         f64::from(sums.iter().sum::<f32>())
     }
 
-    /// The variance in each class of range, from the part that the probe keeps and from the part that
-    /// is kept of far ones; `span` is the nearest range and classes per metre.
+    /// The variance in each class of range of differences over a wider pitch. Where the noise is of one size,
+    /// what edges make of it is taken away; what is `mixed` scatters more the more of it is kept, too.
+    fn measure_far(
+        &mut self,
+        field: &Field,
+        span: (f32, f32),
+        [down, right]: [usize; 2],
+        mixed: bool,
+    ) -> Classes {
+        let (told, checked) = self.measure(field, span, Probe::far(down, right));
+        let excess = if mixed { 1.0 } else { excess_by_edges(growth(&told, &checked)) };
+        told.map(|class| class.map(|class| Class { variance: class.variance / excess, ..class }))
+    }
+
+    /// The variance in each class of range, from the part that the probe keeps and from another part: of near
+    /// differences the one that is kept of far ones, of far ones the one that tells edges; `span` is the
+    /// nearest range and classes per metre.
     fn measure(&mut self, field: &Field, span: (f32, f32), probe: Probe) -> (Classes, Classes) {
         self.gather(field, [probe.down, probe.right], probe.samples, ByRange { span });
         let (nearest, per_metre) = span;
@@ -289,7 +321,7 @@ impl NoiseEstimator {
             };
             told.0[class] = part(probe.kept, probe.kept_variance);
             told.1[class] = if probe.kept == FAR_KEPT {
-                told.0[class]
+                part(CHECKED, CHECKED_VARIANCE)
             } else {
                 part(FAR_KEPT, FAR_KEPT_VARIANCE)
             };
@@ -301,6 +333,19 @@ impl NoiseEstimator {
 /// The bins of classes.
 fn bins_of(classes: Range<usize>) -> Range<usize> {
     classes.start * SIZE_CLASSES..classes.end * SIZE_CLASSES
+}
+
+/// How many times as large a variance is for the edges among the differences, of which the part that is checked
+/// has so many times the variance of the part that is kept.
+fn excess_by_edges(checked: f64) -> f64 {
+    let after = BY_EDGES.iter().position(|&(share, _)| checked < share).unwrap_or(BY_EDGES.len());
+    match (after.checked_sub(1).map(|k| BY_EDGES[k]), BY_EDGES.get(after)) {
+        (Some((low, from)), Some((high, to))) => {
+            from + (to - from) * (checked - low) / (high - low)
+        }
+        (Some((_, most)), None) => most,
+        (None, _) => 1.0,
+    }
 }
 
 /// What readings of one steepness tell: the slope of the range over the angle, and the variance, both
