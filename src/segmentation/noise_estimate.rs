@@ -64,6 +64,8 @@ const LEAST_SHARE: f64 = 0.02;
 const LEAST_RISE: f64 = 0.4;
 /// Ratio of the variances that two parts of the samples tell, from which on they are of several sizes.
 const MIXED: f64 = 1.03;
+/// The same ratio beyond which edges alone are no reason for it.
+const SEVERAL: f64 = 1.25;
 /// Buffers of the estimate.
 #[derive(Clone, Debug)]
 pub(super) struct NoiseEstimator {
@@ -132,9 +134,10 @@ impl NoiseEstimator {
         let near = self.measure(field, span, Probe::near());
         // Noise of one size has the same variance whatever part of it is kept.
         let mixed = growth(&near.1, &near.0) > MIXED;
-        let near = near.0;
-        let along = self.measure_far(field, span, [pitch, 0], mixed);
-        let across = self.measure_far(field, span, [0, 1], mixed);
+        let (near, near_far_part) = near;
+        let several = growth(&near_far_part, &near) > SEVERAL;
+        let along = self.measure_far(field, span, [pitch, 0], several);
+        let across = self.measure_far(field, span, [0, 1], several);
         let alike = growth(&near, &along) > MUCH_LARGER;
         let angle = if alike || mixed || growth(&across, &near) > MUCH_LARGER {
             self.angle_error(field, span, pitch, &near)
@@ -144,7 +147,7 @@ impl NoiseEstimator {
         if !alike && angle.is_none() {
             return ReadingErrors::independent(self.model([&near, &along, &across]));
         }
-        let (along, length) = self.follow(field, (span, mixed), [pitch, 0], along, &near);
+        let (along, length) = self.follow(field, (span, several), [pitch, 0], along, &near);
         let common = if alike { (1.0 - 1.0 / growth(&near, &along)).max(0.0) } else { 0.0 };
         let run = 1.0 + common * (length - 1.0);
         if let Some(angle_rad) = angle {
@@ -152,7 +155,7 @@ impl NoiseEstimator {
             let noise = self.model([&near, &across]);
             return ReadingErrors { noise, angle_rad, common, run, patch: run, inflation: run };
         }
-        let (across, width) = self.follow(field, (span, mixed), [0, 1], across, &across);
+        let (across, width) = self.follow(field, (span, several), [0, 1], across, &across);
         let noise = self.model([&near, &along, &across]);
         let patch = 1.0 + common * (length * width - 1.0);
         ReadingErrors { noise, angle_rad: 0.0, common, run, patch, inflation: patch }
@@ -179,7 +182,7 @@ impl NoiseEstimator {
     fn follow(
         &mut self,
         field: &Field,
-        (span, mixed): ((f32, f32), bool),
+        (span, several): ((f32, f32), bool),
         [down, right]: [usize; 2],
         first: Classes,
         least: &Classes,
@@ -197,7 +200,7 @@ impl NoiseEstimator {
                 break;
             }
             let wider = [2 * scale * down, 2 * scale * right];
-            let next = self.measure_far(field, span, wider, mixed);
+            let next = self.measure_far(field, span, wider, several);
             if growth(&last, &next) < STILL_GROWING {
                 break;
             }
@@ -287,16 +290,16 @@ impl NoiseEstimator {
     }
 
     /// The variance in each class of range of differences over a wider pitch. Where the noise is of one size,
-    /// what edges make of it is taken away; what is `mixed` scatters more the more of it is kept, too.
+    /// what edges make of it is taken away; noise of `several` scatters more the more of it is kept, too.
     fn measure_far(
         &mut self,
         field: &Field,
         span: (f32, f32),
         [down, right]: [usize; 2],
-        mixed: bool,
+        several: bool,
     ) -> Classes {
         let (told, checked) = self.measure(field, span, Probe::far(down, right));
-        let excess = if mixed { 1.0 } else { excess_by_edges(growth(&told, &checked)) };
+        let excess = if several { 1.0 } else { excess_by_edges(growth(&told, &checked)) };
         told.map(|class| class.map(|class| Class { variance: class.variance / excess, ..class }))
     }
 

@@ -1,20 +1,14 @@
 //! The angles between the steps of a scan: tilts need not be evenly spaced.
-//!
-//! The beams of a nodding laser go round circles of different sizes, so that the chord from a step to the next
-//! one is that step's angle times a factor of the lane's own. Both are sought in turns: otherwise a step's
-//! angle would depend on which lanes have returns.
 
 /// Lanes that are looked at to measure the pitch between two steps.
 const SAMPLES: usize = 9;
-/// Times that the factors of the lanes are sought.
-const ROUNDS: usize = 2;
 
 /// Finds where the steps of a scan are. The buffers are kept from scan to scan.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StepFinder {
     /// Directions of the sampled lanes at each step, lane after lane; not a number where there is no return.
     rays: [Vec<f32>; 3],
-    /// Squared chords from each step to the next one, lane after lane, over the square of the lane's factor.
+    /// Squared chords from each step to the next one, lane after lane.
     squares: Vec<f32>,
     /// Their median over the lanes, not a number where no lane has one.
     middles: Vec<f32>,
@@ -37,10 +31,6 @@ impl StepFinder {
         self.take_rays(arrays, steps, lanes);
         self.measure(steps);
         self.take_medians(steps);
-        for _ in 0..ROUNDS {
-            self.scale_lanes(steps);
-            self.take_medians(steps);
-        }
         let mut position = 0.0;
         positions.push(position);
         for &middle in &self.middles {
@@ -94,22 +84,6 @@ impl StepFinder {
             let squares: [f32; SAMPLES] = std::array::from_fn(|k| self.squares[k * gaps + gap]);
             let sum: f32 = squares.iter().sum();
             *middle = middle_of_nine(if sum.is_nan() { filled_up(squares) } else { squares });
-        }
-    }
-
-    /// Divides the squares of each lane by what they are, all in all, over the medians of the same gaps.
-    fn scale_lanes(&mut self, steps: usize) {
-        let Self { squares, middles, .. } = self;
-        for squares in squares.chunks_exact_mut((steps - 1).max(1)) {
-            let (mut own, mut usual) = (0.0, 0.0);
-            for (&square, &middle) in squares.iter().zip(&*middles) {
-                own += if square.is_nan() { 0.0 } else { square };
-                usual += if square.is_nan() { 0.0 } else { middle };
-            }
-            if own > 0.0 {
-                let factor = usual / own;
-                squares.iter_mut().for_each(|square| *square *= factor);
-            }
         }
     }
 }
@@ -169,33 +143,6 @@ mod tests {
             values[..missing].fill(f32::NAN);
             let expected = median(&mut values[missing..].to_vec());
             prop_assert_eq!(Some(middle_of_nine(filled_up(values))), expected);
-        }
-    }
-
-    #[test]
-    fn steps_are_as_wide_whichever_lanes_have_returns() {
-        let (steps, lanes, pitch) = (40, 19, 0.02_f32);
-        let mut arrays = [const { Vec::new() }; 4];
-        for i in 0..steps * lanes {
-            let (step, lane) = (i / lanes, i % lanes);
-            let (tilt, bearing) = (step as f32 * pitch, (lane as f32 - 9.0) * 0.12);
-            let ray = [tilt.cos() * bearing.cos(), bearing.sin(), -tilt.sin() * bearing.cos()];
-            // The outer lanes end half way, the inner ones after that.
-            let is_seen = step < 20 || (step < 30 && (5..14).contains(&lane)) || lane == 10;
-            for (array, value) in arrays.iter_mut().zip(ray) {
-                array.push(if is_seen { 2.0 * value } else { 0.0 });
-            }
-            arrays[3].push(if is_seen { 0.5 } else { 0.0 });
-        }
-        let mut positions = Vec::new();
-        let arrays = arrays.each_ref().map(|array| &array[..]);
-        StepFinder::default().find(arrays, (steps, lanes), pitch, &mut positions);
-        assert_eq!(positions.len(), steps);
-        let gap = positions[1];
-        assert!((0.4..=1.0).contains(&(gap / pitch)), "{gap}");
-        for (step, pair) in positions.windows(2).enumerate() {
-            let share = (pair[1] - pair[0]) / gap;
-            assert!((share - 1.0).abs() < 1e-2, "{step}: {share}");
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::robustness::room;
 use super::scanner::{Noise, Scan, Scanner, scan};
-use super::world::{Random, pose};
+use super::world::{Random, World, pose};
 use nalgebra::{Rotation3, Vector3};
 use std::collections::BTreeMap;
 use usar_agent::scan::PointGrid;
@@ -93,4 +93,26 @@ fn depth_whose_errors_are_alike_over_pixels_leaves_walls_whole() {
     assert!(errors.patch > 4.0 && errors.run > 2.0, "{errors:?}");
     let told = errors.noise.sigma_m(2.0) / 6e-3;
     assert!((0.5..1.6).contains(&told), "{told:.2} of the noise, {errors:?}");
+}
+
+#[test]
+fn the_edges_of_a_stair_are_no_errors_that_readings_have_in_common() {
+    let mut world = World::default();
+    world.room([-1.5, -1.6, 6.0, 1.6], 3.4);
+    for k in 0..9_u8 {
+        let (x, z) = (1.5 + 0.28 * f64::from(k), 0.17 * f64::from(k));
+        world.patch([x, -1.0, z], [0.0, 2.0, 0.0], [0.0, 0.0, 0.17]);
+        world.patch([x, -1.0, z + 0.17], [0.28, 0.0, 0.0], [0.0, 2.0, 0.0]);
+    }
+    let scanner = Scanner::nodding(220, 131, [-25.0, 29.75], [65.0, -65.0], [0.0, 0.0]);
+    let view = pose([0.0, 0.0, 0.8], 0.0, 0.0, 0.0);
+    for (seed, sigma_m) in [(1, 0.003), (2, 0.003), (3, 0.01), (4, 0.02)] {
+        let scan = scan(&world, &view, &scanner, Noise::of(sigma_m), &mut Random(seed));
+        let mut segmenter = Segmenter::new(SegmentationConfig::default());
+        segmenter.segment(&scan.grid);
+        let errors = segmenter.errors();
+        assert_eq!((errors.common, errors.inflation), (0.0, 1.0), "{sigma_m}: {errors:?}");
+        let told = errors.noise.sigma_m(2.5) / sigma_m;
+        assert!((0.9..1.2).contains(&told), "{sigma_m}: {told:.2} of the noise");
+    }
 }
