@@ -137,7 +137,8 @@ impl NoiseEstimator {
         let (near, near_far_part) = near;
         let several = growth(&near_far_part, &near) > SEVERAL;
         let along = self.measure_far(field, span, [pitch, 0], several);
-        let across = self.measure_far(field, span, [0, 1], several);
+        // Across, it is asked whether errors are smaller, of which edges hide some and make up none.
+        let across = self.measure_far(field, span, [0, 1], true);
         let alike = growth(&near, &along) > MUCH_LARGER;
         let angle = if alike || mixed || growth(&across, &near) > MUCH_LARGER {
             self.angle_error(field, span, pitch, &near)
@@ -155,7 +156,7 @@ impl NoiseEstimator {
             let noise = self.model([&near, &across]);
             return ReadingErrors { noise, angle_rad, common, run, patch: run, inflation: run };
         }
-        let (across, width) = self.follow(field, (span, several), [0, 1], across, &across);
+        let (across, width) = self.follow(field, (span, true), [0, 1], across, &across);
         let noise = self.model([&near, &along, &across]);
         let patch = 1.0 + common * (length * width - 1.0);
         ReadingErrors { noise, angle_rad: 0.0, common, run, patch, inflation: patch }

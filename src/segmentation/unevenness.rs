@@ -38,8 +38,29 @@ pub(super) struct UnevenPlanes {
     planes: Vec<(usize, Option<Unevenness>)>,
     /// Unevenness and cells of planes.
     known: Vec<(f64, usize)>,
+    /// Places of the planes, which patches lie within spheres about their origins, and their normals.
+    spheres: Vec<Sphere>,
     /// Surfaces with the rotations about y and x, and the step, to a piece beside each.
     pieces: Vec<(usize, Vector2<f64>, f64)>,
+}
+
+/// A sphere about a patch's origin, in which it lies, and its normal.
+#[derive(Clone, Copy, Debug)]
+struct Sphere {
+    index: usize,
+    centre: Vector3<f64>,
+    radius_m: f64,
+    normal: Vector3<f64>,
+}
+
+impl Sphere {
+    fn about(surfaces: &[Surface], index: usize) -> Option<Self> {
+        let Shape::Plane(patch) = &surfaces[index].shape else { return None };
+        let radius_m = patch.hull.iter().map(|vertex| vertex.coords.norm()).fold(0.0, f64::max);
+        let Isometry3 { rotation, translation } = patch.grid_from_plane;
+        let normal = rotation * Vector3::z();
+        Some(Self { index, centre: translation.vector, radius_m, normal })
+    }
 }
 
 impl UnevenPlanes {
@@ -77,19 +98,28 @@ impl UnevenPlanes {
 
     /// Lists the patches that go on in others that are nearly but not quite of their plane.
     fn compare_pieces(&mut self, surfaces: &[Surface], usual_m: f64) {
-        self.pieces.clear();
-        for (at, (index, _)) in self.planes.iter().enumerate() {
-            let Shape::Plane(patch) = &surfaces[*index].shape else { continue };
-            let normal = patch.grid_from_plane.rotation * Vector3::z();
-            for (other_index, _) in &self.planes[at + 1..] {
-                let Shape::Plane(other) = &surfaces[*other_index].shape else { continue };
-                let other_normal = other.grid_from_plane.rotation * Vector3::z();
-                if normal.dot(&other_normal) < PIECES_COSINE {
+        let Self { planes, spheres, pieces, .. } = self;
+        pieces.clear();
+        spheres.clear();
+        spheres.extend(planes.iter().filter_map(|&(index, _)| Sphere::about(surfaces, index)));
+        // Pieces have boxes that far apart at most in the plane of one, and are tilted by little.
+        let apart_m = 2.0 * PIECES_GAP_M + PIECES_STEP_M + PIECES_STEP_SIGMAS * usual_m;
+        for (at, own) in spheres.iter().enumerate() {
+            for other in &spheres[at + 1..] {
+                let reach_m = 2.0 * (own.radius_m + other.radius_m) + apart_m;
+                if own.normal.dot(&other.normal) < PIECES_COSINE
+                    || (own.centre - other.centre).norm_squared() > reach_m * reach_m
+                {
                     continue;
                 }
-                for (own, beside, place) in [(patch, other, *index), (other, patch, *other_index)] {
-                    if let Some((turn_rad, step_m)) = piece_beside(own, beside, usual_m) {
-                        self.pieces.push((place, turn_rad, step_m));
+                for [own, other] in [[own.index, other.index], [other.index, own.index]] {
+                    let (Shape::Plane(patch), Shape::Plane(beside)) =
+                        (&surfaces[own].shape, &surfaces[other].shape)
+                    else {
+                        continue;
+                    };
+                    if let Some((turn_rad, step_m)) = piece_beside(patch, beside, usual_m) {
+                        pieces.push((own, turn_rad, step_m));
                     }
                 }
             }
