@@ -315,7 +315,7 @@ impl Assembler {
             return FittedRegion { unevenness, ..fitted(Fitted::Plane(plane), &sums) };
         }
         if let Some(model) = model {
-            let columns = columns(field, &self.fit_gain);
+            let columns = Columns::of(field, &self.fit_gain);
             self.readings.gather_runs(columns, &field.range, self.components.runs(component));
             let (limits, errors) = (&config.limits, &field.errors);
             if let Some(shape) = settle_known(&self.readings, model, limits, errors, error) {
@@ -361,7 +361,7 @@ impl Assembler {
     fn sum_up(&mut self, field: &Field, component: usize, q: [f64; 3]) -> PlaneSums {
         let cell = self.middle(component);
         let reference = Reference::new(q, field.point(cell));
-        let columns = columns(field, &self.fit_gain);
+        let columns = Columns::of(field, &self.fit_gain);
         let runs = (self.components.runs(component), field.lanes);
         self.blocks.sum_up(reference, columns, runs, &mut self.packed)
     }
@@ -387,7 +387,7 @@ impl Assembler {
         let belongs = |cell: usize| self.components.of(cell) == Some(component);
         let axes = candidate_axes(field, cells.clone(), count, belongs);
         let stride = count.div_ceil(TRIAL_CELLS).max(1);
-        let columns = columns(field, &self.fit_gain);
+        let columns = Columns::of(field, &self.fit_gain);
         self.readings.gather(columns, &field.range, cells.step_by(stride));
         let (chosen, _) = choose(&mut self.readings, &axes, &config.limits, &field.errors);
         if matches!(chosen, Fitted::Plane(_)) {
@@ -564,10 +564,4 @@ fn reject(
     text.clear();
     text.write_fmt(reason).expect("writing to a string does not fail");
     result.rejected.push(Rejected { points, reason: text });
-}
-
-/// What fits read of a field.
-fn columns<'a>(field: &'a Field, fit_gain: &'a [f32]) -> Columns<'a> {
-    let Field { x, y, z, inverse, gain, .. } = field;
-    Columns { x, y, z, inverse, gain, fit_gain }
 }

@@ -209,13 +209,9 @@ impl CurveFinder {
                 None => self.guesser.sphere(enough),
             };
             let Some((error, model)) = found else { continue };
-            let radius_m = match &model {
-                Model::Cylinder { radius_m, .. } | Model::Sphere { radius_m, .. } => *radius_m,
-                Model::Plane { .. } => f64::INFINITY,
-            };
+            let Some(radius_m) = model.radius_m() else { continue };
             if radius_m <= limits.max_radius_m
                 && facets.iter().all(|&facet| self.facets.may_curve(facet, radius_m.max(SMALL_M)))
-                && error < enough
             {
                 best = Some((error, model));
             }
@@ -247,10 +243,7 @@ impl CurveFinder {
         }
         // Errors across the surface bias the radius by σ² / R; those along the rays do not.
         let Some(model) = settle_model(&self.readings, &model, limits, &self.trust) else { return };
-        let radius_m = match &model {
-            Model::Cylinder { radius_m, .. } | Model::Sphere { radius_m, .. } => *radius_m,
-            Model::Plane { .. } => return,
-        };
+        let Some(radius_m) = model.radius_m() else { return };
         if radius_m > limits.max_radius_m || !self.is_worth_it(sticks, grower, &model) {
             return;
         }

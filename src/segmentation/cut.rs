@@ -10,7 +10,8 @@
 use super::field::Field;
 use super::run::Run;
 use super::segments::{Kind, SEGMENT, Straight};
-use pulp::{Arch, Scalar128b, Simd, WithSimd};
+use super::vectors::run;
+use pulp::{Simd, WithSimd};
 
 /// Most cells of a run.
 pub(super) const LONGEST: usize = 2 * SEGMENT;
@@ -132,11 +133,7 @@ impl Cutter {
                 let (tables, table_of) = (&self.tables, &self.table_of[begin..end]);
                 let block = &mut self.block;
                 let work = Cut { block, field, lanes, begin, price, tables, table_of };
-                match Arch::new() {
-                    // Four at a time is what any processor does well.
-                    Arch::Scalar => Scalar128b.vectorize(work),
-                    arch => arch.dispatch(work),
-                }
+                run(work);
                 let width = self.block.width.min(lanes.len());
                 for place in 0..width {
                     let lane = self.open[cut + place] as usize;

@@ -110,6 +110,7 @@ impl WithSimd for Prepare<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
+        const { assert!(BLOCK.is_multiple_of(S::F64_LANES), "blocks are whole vectors") };
         let Guesser { points, gains, weights, readings, centroid, scatter, .. } = self.0;
         let zero = simd.splat_f64s(0.0);
         let mut sums = [zero; 3];
@@ -156,12 +157,13 @@ impl<const N: usize> WithSimd for Trim<'_, N> {
         for round in 1..=TRIMS {
             let (error, changed) = self.trim(simd, &model);
             mean = error;
-            // With the last choice it is decided what the error is.
-            if mean > HOPELESS || (round == TRIMS && mean >= self.enough) {
+            // With the last choice it is decided what the error is. What is fitted to the same readings is
+            // the same.
+            let is_last = round == TRIMS || !changed;
+            if mean > HOPELESS || (is_last && mean >= self.enough) {
                 return None;
             }
             if !changed {
-                // What is fitted to the same readings is the same.
                 break;
             }
             model = self.fit(simd)?;
@@ -368,5 +370,6 @@ mod tests {
         assert!(error < 1e-6, "{error}");
         assert!((radius_m - 0.3).abs() < 1e-6 && (foot.x - 3.0).abs() < 1e-6, "{foot} {radius_m}");
         assert!(facets().cylinder(Vector3::x(), 4.0).is_none_or(|(error, _)| error > 1.0));
+        assert!(facets().cylinder(Vector3::z(), error).is_none(), "no better than is asked for");
     }
 }

@@ -44,6 +44,7 @@ mod sticks;
 mod surface;
 mod turns;
 mod unevenness;
+mod vectors;
 
 pub use config::{Method, PaperConfig, SegmentationConfig, ShapeLimits};
 pub use noise::{RangeNoise, ReadingErrors};

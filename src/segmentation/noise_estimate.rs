@@ -135,10 +135,10 @@ impl NoiseEstimator {
         // Noise of one size has the same variance whatever part of it is kept.
         let mixed = growth(&near.1, &near.0) > MIXED;
         let (near, near_far_part) = near;
-        let several = growth(&near_far_part, &near) > SEVERAL;
-        let along = self.measure_far(field, span, [pitch, 0], several);
+        let of_one_size = growth(&near_far_part, &near) <= SEVERAL;
+        let along = self.measure_far(field, span, [pitch, 0], of_one_size);
         // Across, it is asked whether errors are smaller, of which edges hide some and make up none.
-        let across = self.measure_far(field, span, [0, 1], true);
+        let across = self.measure_far(field, span, [0, 1], false);
         let alike = growth(&near, &along) > MUCH_LARGER;
         let angle = if alike || mixed || growth(&across, &near) > MUCH_LARGER {
             self.angle_error(field, span, pitch, &near)
@@ -148,7 +148,7 @@ impl NoiseEstimator {
         if !alike && angle.is_none() {
             return ReadingErrors::independent(self.model([&near, &along, &across]));
         }
-        let (along, length) = self.follow(field, (span, several), [pitch, 0], along, &near);
+        let (along, length) = self.follow(field, (span, of_one_size), [pitch, 0], along, &near);
         let common = if alike { (1.0 - 1.0 / growth(&near, &along)).max(0.0) } else { 0.0 };
         let run = 1.0 + common * (length - 1.0);
         if let Some(angle_rad) = angle {
@@ -156,7 +156,7 @@ impl NoiseEstimator {
             let noise = self.model([&near, &across]);
             return ReadingErrors { noise, angle_rad, common, run, patch: run, inflation: run };
         }
-        let (across, width) = self.follow(field, (span, true), [0, 1], across, &across);
+        let (across, width) = self.follow(field, (span, false), [0, 1], across, &across);
         let noise = self.model([&near, &along, &across]);
         let patch = 1.0 + common * (length * width - 1.0);
         ReadingErrors { noise, angle_rad: 0.0, common, run, patch, inflation: patch }
@@ -183,7 +183,7 @@ impl NoiseEstimator {
     fn follow(
         &mut self,
         field: &Field,
-        (span, several): ((f32, f32), bool),
+        (span, less_edges): ((f32, f32), bool),
         [down, right]: [usize; 2],
         first: Classes,
         least: &Classes,
@@ -201,7 +201,7 @@ impl NoiseEstimator {
                 break;
             }
             let wider = [2 * scale * down, 2 * scale * right];
-            let next = self.measure_far(field, span, wider, several);
+            let next = self.measure_far(field, span, wider, less_edges);
             if growth(&last, &next) < STILL_GROWING {
                 break;
             }
@@ -290,17 +290,21 @@ impl NoiseEstimator {
         f64::from(sums.iter().sum::<f32>())
     }
 
-    /// The variance in each class of range of differences over a wider pitch. Where the noise is of one size,
-    /// what edges make of it is taken away; noise of `several` scatters more the more of it is kept, too.
+    /// The variance in each class of range of differences over a wider pitch; with `less_edges` what edges make
+    /// of it is taken away, which can be told of noise of one size only: any other scatters more the more of it
+    /// is kept, too.
     fn measure_far(
         &mut self,
         field: &Field,
         span: (f32, f32),
         [down, right]: [usize; 2],
-        several: bool,
+        less_edges: bool,
     ) -> Classes {
         let (told, checked) = self.measure(field, span, Probe::far(down, right));
-        let excess = if several { 1.0 } else { excess_by_edges(growth(&told, &checked)) };
+        if !less_edges {
+            return told;
+        }
+        let excess = excess_by_edges(growth(&told, &checked));
         told.map(|class| class.map(|class| Class { variance: class.variance / excess, ..class }))
     }
 
@@ -431,6 +435,15 @@ fn trimmed_mean(bins: &[[f32; 2]], samples: f64, share: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_edges_make_of_a_variance_follows_from_how_it_rises() {
+        let rising = [0.9, 1.0, 1.03625, 1.1477, 1.5119, 2.0].map(excess_by_edges);
+        let expected = [1.0, 1.0, 1.18, 1.6008, 2.1364, 2.1365];
+        for (told, expected) in rising.into_iter().zip(expected) {
+            assert!((told - expected).abs() < 1e-3, "{told} for {expected}");
+        }
+    }
 
     fn classes(variance: impl Fn(usize, f64) -> f64) -> Vec<SlopeClass> {
         (1..8_i32)

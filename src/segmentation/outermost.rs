@@ -1,6 +1,7 @@
 //! Which of many points may be vertices of their convex hull, a vector of points at a time.
 
-use pulp::{Arch, Scalar128b, Simd, WithSimd};
+use super::vectors::run;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Directions in which extreme points are sought at first, 45° apart.
 const DIRECTIONS: usize = 8;
@@ -144,13 +145,6 @@ impl WithSimd for Flatten<'_> {
             *x = ax * d[0] + ay * d[1] + az * d[2];
             *y = bx * d[0] + by * d[1] + bz * d[2];
         }
-    }
-}
-
-fn run<W: WithSimd>(work: W) -> W::Output {
-    match Arch::new() {
-        Arch::Scalar => Scalar128b.vectorize(work),
-        arch => arch.dispatch(work),
     }
 }
 

@@ -54,9 +54,8 @@ pub(super) struct PaperChain {
 }
 
 impl PaperChain {
-    /// Finds the regions of a field; `labels` gets one number to each, 0 for none
-    /// and [`NO_RETURN`] for cells without one. Returns what is
-    /// known of them.
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none and [`NO_RETURN`] for cells
+    /// without a return. Returns what is known of them.
     pub fn run(
         &mut self,
         field: &Field,
@@ -130,8 +129,7 @@ impl PaperChain {
                 continue;
             }
             let cells = self.components.cells(component);
-            let Field { x, y, z, inverse, gain, .. } = field;
-            let columns = Columns { x, y, z, inverse, gain, fit_gain: gain };
+            let columns = Columns::of(field, &field.gain);
             self.readings.gather_runs(columns, &field.range, self.components.runs(component));
             let belongs = |c: usize| self.components.of(c) == Some(component);
             let axes = candidate_axes(field, cells, count, belongs);

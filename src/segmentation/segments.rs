@@ -5,7 +5,8 @@
 //! running sums alone, a small part of what it takes to seek the best of all cuts.
 
 use super::field::Field;
-use pulp::{Arch, Scalar128b, Simd, WithSimd};
+use super::vectors::run;
+use pulp::{Simd, WithSimd};
 
 /// Most steps of a segment.
 pub(super) const SEGMENT: usize = 16;
@@ -63,10 +64,7 @@ impl Straight {
             row.resize(width, 0.0);
         }
         let look = Look { straight: self, field, begin, price };
-        match Arch::new() {
-            Arch::Scalar => Scalar128b.vectorize(look),
-            arch => arch.dispatch(look),
-        }
+        run(look);
     }
 
     /// Leaves all lanes to be cut.

@@ -39,9 +39,8 @@ pub(super) struct StickChain {
 }
 
 impl StickChain {
-    /// Finds the regions of a field; `labels` gets one number to each, 0 for none
-    /// and [`NO_RETURN`] for cells without one. Returns what is
-    /// known of them.
+    /// Finds the regions of a field; `labels` gets one number to each, 0 for none and [`NO_RETURN`] for cells
+    /// without a return. Returns what is known of them.
     pub fn run(
         &mut self,
         field: &Field,

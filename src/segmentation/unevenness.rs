@@ -38,23 +38,22 @@ pub(super) struct UnevenPlanes {
     planes: Vec<(usize, Option<Unevenness>)>,
     /// Unevenness and cells of planes.
     known: Vec<(f64, usize)>,
-    /// Places of the planes, which patches lie within spheres about their origins, and their normals.
-    spheres: Vec<Sphere>,
+    bounds: Vec<Bounds>,
     /// Surfaces with the rotations about y and x, and the step, to a piece beside each.
     pieces: Vec<(usize, Vector2<f64>, f64)>,
 }
 
-/// A sphere about a patch's origin, in which it lies, and its normal.
+/// A sphere about a patch's origin in which it lies, its normal, and its place among the surfaces.
 #[derive(Clone, Copy, Debug)]
-struct Sphere {
+struct Bounds {
     index: usize,
     centre: Vector3<f64>,
     radius_m: f64,
     normal: Vector3<f64>,
 }
 
-impl Sphere {
-    fn about(surfaces: &[Surface], index: usize) -> Option<Self> {
+impl Bounds {
+    fn of(surfaces: &[Surface], index: usize) -> Option<Self> {
         let Shape::Plane(patch) = &surfaces[index].shape else { return None };
         let radius_m = patch.hull.iter().map(|vertex| vertex.coords.norm()).fold(0.0, f64::max);
         let Isometry3 { rotation, translation } = patch.grid_from_plane;
@@ -98,14 +97,14 @@ impl UnevenPlanes {
 
     /// Lists the patches that go on in others that are nearly but not quite of their plane.
     fn compare_pieces(&mut self, surfaces: &[Surface], usual_m: f64) {
-        let Self { planes, spheres, pieces, .. } = self;
+        let Self { planes, bounds, pieces, .. } = self;
         pieces.clear();
-        spheres.clear();
-        spheres.extend(planes.iter().filter_map(|&(index, _)| Sphere::about(surfaces, index)));
+        bounds.clear();
+        bounds.extend(planes.iter().filter_map(|&(index, _)| Bounds::of(surfaces, index)));
         // Pieces have boxes that far apart at most in the plane of one, and are tilted by little.
         let apart_m = 2.0 * PIECES_GAP_M + PIECES_STEP_M + PIECES_STEP_SIGMAS * usual_m;
-        for (at, own) in spheres.iter().enumerate() {
-            for other in &spheres[at + 1..] {
+        for (at, own) in bounds.iter().enumerate() {
+            for other in &bounds[at + 1..] {
                 let reach_m = 2.0 * (own.radius_m + other.radius_m) + apart_m;
                 if own.normal.dot(&other.normal) < PIECES_COSINE
                     || (own.centre - other.centre).norm_squared() > reach_m * reach_m

@@ -107,7 +107,7 @@ pub(in super::super) fn settle_known(
             bounded(readings, CylinderFit { foot, axis, radius_m, covariance: Matrix5::zeros() })
         }
     };
-    let (fitted, error) = settle_with_error(readings, start, limits, errors)?;
+    let (fitted, error) = settle_curved(readings, start, limits, errors)?;
     let is_curved = matches!(fitted, Fitted::Sphere { .. } | Fitted::Cylinder { .. });
     (is_curved && cost(error, model) < flat / errors.patch).then_some(fitted)
 }
@@ -120,11 +120,16 @@ pub(in super::super) fn settle(
     limits: &ShapeLimits,
     errors: &ReadingErrors,
 ) -> Option<Fitted> {
-    settle_with_error(readings, chosen, limits, errors).map(|(fitted, _)| fitted)
+    match chosen {
+        Fitted::Plane(_) | Fitted::Other => Some(chosen),
+        Fitted::Sphere { .. } | Fitted::Cylinder { .. } => {
+            settle_curved(readings, chosen, limits, errors).map(|(fitted, _)| fitted)
+        }
+    }
 }
 
-/// The same, and the sum of the squared errors of a sphere or a cylinder, each cut at [`CAP`].
-fn settle_with_error(
+/// The same of a sphere or a cylinder, with the sum of its squared errors, each cut at [`CAP`].
+fn settle_curved(
     readings: &Readings,
     chosen: Fitted,
     limits: &ShapeLimits,
@@ -149,7 +154,7 @@ fn settle_with_error(
                 model,
             )
         }
-        Fitted::Plane(_) | Fitted::Other => return Some((chosen, 0.0)),
+        Fitted::Plane(_) | Fitted::Other => return None,
     };
     let error = capped_error(readings, &model);
     let mean_square = error / readings.len() as f64;

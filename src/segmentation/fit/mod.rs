@@ -178,6 +178,14 @@ impl Model {
         }
     }
 
+    /// The radius of a sphere or a cylinder.
+    pub fn radius_m(&self) -> Option<f64> {
+        match self {
+            Model::Plane { .. } => None,
+            Model::Sphere { radius_m, .. } | Model::Cylinder { radius_m, .. } => Some(*radius_m),
+        }
+    }
+
     /// Number of parameters, the price of the model.
     pub fn parameters(&self) -> f64 {
         match self {

@@ -1,7 +1,8 @@
 //! How far readings reach along an axis and round a sphere or a cylinder.
 
+use super::super::vectors::run;
 use super::Readings;
-use super::round::{Vectors, dot, less, run, some_of, splat, vectors};
+use super::round::{Vectors, dot, less, some_of, splat, vectors};
 use nalgebra::Vector3;
 use pulp::{Simd, WithSimd};
 

@@ -125,6 +125,7 @@ impl Readings {
     /// Points, rays and ones over deviations in whole vectors, all as many.
     #[inline(always)]
     pub(super) fn vectors<S: Simd>(&self) -> [&[S::f32s]; 7] {
+        const { assert!(BLOCK.is_multiple_of(S::F32_LANES), "blocks are whole vectors") };
         let ([x, y, z, ..], [u, v, w]) = (&self.columns, &self.rays);
         let columns = [x, y, z, u, v, w, &self.per_sigma];
         let vectors = columns.map(|column| S::as_simd_f32s(column).0);

@@ -3,9 +3,10 @@
 //!
 //! A sphere is taken as a cylinder whose axis is zero: all that differs is what its parameters move.
 
+use super::super::vectors::run;
 use super::readings::{BLOCK, Readings};
 use super::{CAP, LEAST_COSINE, NormalSums, Phase, RIM_COSINE};
-use pulp::{Arch, Scalar128b, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 /// A sphere about `foot`, or a cylinder about the line through `foot` along the unit vector `axis`.
 #[derive(Clone, Copy, Debug)]
@@ -52,14 +53,6 @@ pub(super) fn capped_error_of(readings: &Readings, round: Round) -> f64 {
 /// Mean square of the distances from a surface, in m².
 pub(super) fn mean_square_distance_of(readings: &Readings, round: Round) -> f64 {
     run(Distances { readings, round }) / readings.len().max(1) as f64
-}
-
-/// Does work with the vectors of the processor.
-pub(super) fn run<W: WithSimd>(work: W) -> W::Output {
-    match Arch::new() {
-        Arch::Scalar => Scalar128b.vectorize(work),
-        arch => arch.dispatch(work),
-    }
 }
 
 struct Sum<'a, const N: usize> {

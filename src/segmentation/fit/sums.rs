@@ -4,10 +4,12 @@
 //! what the region's additive moments gave. Then the errors are small numbers and single precision
 //! holds them; a Newton step from there is exact, as the problem is linear.
 
+use super::super::field::Field;
+use super::super::vectors::run;
 use super::packed::{COLUMNS, Packed};
 use super::{CAP, GATE, LEAST_COSINE};
 use nalgebra::Vector3;
-use pulp::{Arch, Scalar128b, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 use std::ops::Range;
 
 /// Relative error beyond which a reading's place on the plane is not followed.
@@ -28,6 +30,12 @@ pub(in super::super) struct Columns<'a> {
 }
 
 impl<'a> Columns<'a> {
+    /// Those of a field, of which some readings may be left out of fits.
+    pub fn of(field: &'a Field, fit_gain: &'a [f32]) -> Self {
+        let Field { x, y, z, inverse, gain, .. } = field;
+        Self { x, y, z, inverse, gain, fit_gain }
+    }
+
     /// What they have of a cell.
     #[inline]
     pub fn reading(&self, cell: usize) -> [f32; COLUMNS] {
@@ -158,13 +166,6 @@ impl PlaneSums {
     /// The sums over few readings, in arrays of their own.
     pub fn over_few(reference: Reference, columns: Columns, packed: &mut Packed) -> Self {
         Self::over(reference, columns, std::iter::once(0..columns.x.len()), packed)
-    }
-}
-
-fn run<W: WithSimd>(work: W) -> W::Output {
-    match Arch::new() {
-        Arch::Scalar => Scalar128b.vectorize(work),
-        arch => arch.dispatch(work),
     }
 }
 
